@@ -1,0 +1,35 @@
+"""A field as compiled kernels see it: arrays only.
+
+Every kind of field answers the same four questions (``value``, ``gradient``, ``edge_error``,
+``inner_error``) in a kernel module of its own; ``dispatch.py`` picks by ``kind``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["PATCHES", "RASTER", "SURFACE", "KernelField"]
+
+PATCHES, RASTER, SURFACE = 0, 1, 2
+
+
+class KernelField(NamedTuple):
+    """Arrays of a field in local coordinates; those that a kind does not use stay empty.
+
+    Fields have the same types whatever the kind, so that every kernel compiles once.
+    """
+
+    kind: int
+    frame: NDArray[np.float64] = np.empty(0)  # scalars of the kind: origin and size of its index
+    grid: NDArray[np.float64] = np.empty((0, 0))  # RASTER: heights [row, column]
+    child: NDArray[np.int32] = np.empty((0, 4), np.int32)  # PATCHES: quadtree
+    coef: NDArray[np.float64] = np.empty((0, 0, 0))  # PATCHES: polynomials of the leaves
+    points: NDArray[np.float64] = np.empty((0, 3))  # SURFACE: vertices
+    triangles: NDArray[np.int32] = np.empty((0, 3), np.int32)  # SURFACE: triangles
+    vertex_start: NDArray[np.int32] = np.empty(0, np.int32)  # SURFACE: cell -> its vertices (CSR)
+    vertex_items: NDArray[np.int32] = np.empty(0, np.int32)
+    triangle_start: NDArray[np.int32] = np.empty(0, np.int32)  # SURFACE: cell -> triangles over it
+    triangle_items: NDArray[np.int32] = np.empty(0, np.int32)
