@@ -1,0 +1,172 @@
+"""Functions z = f(x, y): callables and text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+
+from equimesh.errors import InputError
+from equimesh.expression import parse
+from equimesh.fields.base import Array, IntArray
+from equimesh.fields.differences import stencil_derivatives
+from equimesh.fields.kernel import PATCHES, KernelField
+from equimesh.fields.patches import fit_patches
+from equimesh.fields.sampling import sampled_errors
+from equimesh.frame import Frame
+
+__all__ = ["Function"]
+
+# Share of the tolerance to which piecewise polynomials stand in for f inside the optimiser.
+_PATCH_SHARE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Function:
+    """A function of x and y.
+
+    Parameters
+    ----------
+    f
+        A vectorised callable ``f(x, y) -> z`` on (n,) arrays, or an arithmetic expression in x, y.
+    gradient_of, hessian_of
+        Callables for (n, 2) first and (n, 2, 2) second derivatives, where you have them. Text is
+        differentiated symbolically; otherwise derivatives come from high-order differences.
+    box
+        (xmin, ymin, xmax, ymax) that differences may use; set by ``on``.
+
+    Raises
+    ------
+    InputError
+        The text is not an expression of x and y.
+
+    Examples
+    --------
+    >>> Function("x**2 * y").gradient(np.array([1.0]), np.array([3.0]))
+    array([[6., 1.]])
+    """
+
+    f: Callable[[Array, Array], Array] | str
+    gradient_of: Callable[[Array, Array], Array] | None = None
+    hessian_of: Callable[[Array, Array], Array] | None = None
+    third_of: Callable[[Array, Array], Array] | None = None
+    box: tuple[float, float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.f, str):
+            expression = parse(self.f)
+            object.__setattr__(self, "f", expression.value)
+            object.__setattr__(self, "gradient_of", expression.gradient)
+            object.__setattr__(self, "hessian_of", expression.hessian)
+            object.__setattr__(self, "third_of", expression.third)
+        elif not callable(self.f):
+            raise InputError("A function must be a callable f(x, y) or an expression in x and y.")
+
+    @property
+    def size(self) -> str:
+        return "function"
+
+    @property
+    def smooth(self) -> bool:
+        return True
+
+    def on(self, domain: shapely.Geometry) -> Function:
+        """The same function, its differences kept inside the box of ``domain``."""
+        xmin, ymin, xmax, ymax = (float(v) for v in shapely.bounds(domain))
+        return replace(self, f=self.f, box=(xmin, ymin, xmax, ymax))
+
+    def value(self, x: Array, y: Array) -> Array:
+        """(n,) heights.
+
+        Raises
+        ------
+        InputError
+            The callable does not take arrays, or gives back another number of values.
+        """
+        x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
+        assert callable(self.f)
+        with np.errstate(all="ignore"):
+            try:
+                z = np.asarray(self.f(x, y), float)
+            except (TypeError, ValueError) as error:
+                raise InputError(
+                    f"The function failed on arrays x and y ({error}): "
+                    "write it with NumPy, or wrap it in numpy.vectorize."
+                ) from error
+        if z.ndim == 0:
+            z = np.full(x.shape, float(z))
+        if z.shape != x.shape:
+            raise InputError(
+                f"The function gave {z.shape} values for {x.shape} points: "
+                "it must work elementwise on arrays."
+            )
+        return z
+
+    def gradient(self, x: Array, y: Array) -> Array:
+        """(n, 2) first derivatives."""
+        if self.gradient_of is not None:
+            return np.asarray(self.gradient_of(x, y), float)
+        return stencil_derivatives(self.value, x, y, self.box, 1)
+
+    def hessian(self, x: Array, y: Array) -> Array:
+        """(n, 2, 2) second derivatives."""
+        if self.hessian_of is not None:
+            return np.asarray(self.hessian_of(x, y), float)
+        h = stencil_derivatives(self.value, x, y, self.box, 2)
+        return np.stack([h[:, [0, 1]], h[:, [1, 2]]], 1)
+
+    def third(self, x: Array, y: Array) -> Array:
+        """(n, 4) third derivatives f_xxx, f_xxy, f_xyy, f_yyy."""
+        if self.third_of is not None:
+            return np.asarray(self.third_of(x, y), float)
+        return stencil_derivatives(self.value, x, y, self.box, 3)
+
+    def outline(self, tol: float) -> shapely.Geometry:
+        raise InputError(
+            "A function has no domain of its own: give domain=(xmin, ymin, xmax, ymax)."
+        )
+
+    def span(self, domain: shapely.Geometry) -> tuple[float, float]:
+        """Smallest and largest of samples over the domain (a 257 x 257 grid of its box)."""
+        xmin, ymin, xmax, ymax = shapely.bounds(domain)
+        grid = np.meshgrid(np.linspace(xmin, xmax, 257), np.linspace(ymin, ymax, 257))
+        x, y = (a.ravel() for a in grid)
+        inside = shapely.intersects_xy(domain, x, y)
+        corners = shapely.get_coordinates(domain)
+        z = self.value(np.append(x[inside], corners[:, 0]), np.append(y[inside], corners[:, 1]))
+        if not np.isfinite(z).all():
+            i = int(np.flatnonzero(~np.isfinite(z))[0])
+            px = np.append(x[inside], corners[:, 0])[i]
+            py = np.append(y[inside], corners[:, 1])[i]
+            raise InputError(
+                f"The function is not finite at ({px:.6g}, {py:.6g}): "
+                "choose a domain on which it is defined."
+            )
+        return float(z.min()), float(z.max())
+
+    def frame(self, domain: shapely.Geometry) -> Frame:
+        return Frame.of_bounds(*(float(v) for v in shapely.bounds(domain)))
+
+    def kernel(self, domain: shapely.Geometry, tol: float) -> KernelField:
+        """Piecewise polynomials within ``tol / 1000`` of f over the domain."""
+        frame = self.frame(domain)
+
+        def local(u: Array, v: Array) -> Array:
+            points = frame.to_user(np.stack([u, v], 1))
+            return self.value(points[:, 0], points[:, 1])
+
+        patches = fit_patches(local, frame.geometry_to_local(domain), _PATCH_SHARE * tol)
+        return KernelField(
+            PATCHES,
+            frame=np.array([*patches.origin, patches.side]),
+            child=patches.child,
+            coef=patches.coef,
+        )
+
+    def errors(
+        self, points: Array, triangles: IntArray, limit: float = np.inf
+    ) -> tuple[Array, Array]:
+        """(m,) largest errors and (m,) bounds, from samples of f itself (see ``sampling``)."""
+        return sampled_errors(self.value, points, triangles, limit)

@@ -1,0 +1,289 @@
+"""A smooth function as piecewise polynomials on a quadtree: value, derivatives, errors.
+
+A leaf holds the 64 coefficients of a polynomial of degree 7 in each of s, t in [-1, 1]. The errors
+of an edge and of a triangle's inside are found by sampling the polynomial and climbing from the
+largest sample (secs. 2 and 3.1 of the paper tell where it lies for a quadratic).
+"""
+
+from __future__ import annotations
+
+from equimesh.fields.compiled import compiled, inlined
+
+__all__ = ["derivatives2", "derivatives3", "edge_error", "gradient", "inner_error", "value"]
+
+
+@inlined
+def _locate(frame, child, x, y):
+    """Leaf that holds (x, y), its local coordinates s, t and the half width of its cell."""
+    side = frame[2]
+    u = min(max((x - frame[0]) / side, 0.0), 1.0)
+    v = min(max((y - frame[1]) / side, 0.0), 1.0)
+    node = 0
+    while True:
+        right = 1 if u >= 0.5 else 0
+        top = 1 if v >= 0.5 else 0
+        below = child[node, right + 2 * top]
+        u = 2.0 * u - right
+        v = 2.0 * v - top
+        side *= 0.5
+        if below < 0:
+            return -below - 1, 2.0 * u - 1.0, 2.0 * v - 1.0, 0.5 * side
+        node = below
+
+
+@compiled
+def _value(frame, child, coef, x, y):
+    leaf, s, t, _ = _locate(frame, child, x, y)
+    c = coef[leaf]
+    a0, a1, a2, a3 = c[7, 0], c[7, 1], c[7, 2], c[7, 3]
+    a4, a5, a6, a7 = c[7, 4], c[7, 5], c[7, 6], c[7, 7]
+    for i in range(6, -1, -1):
+        a0 = a0 * s + c[i, 0]
+        a1 = a1 * s + c[i, 1]
+        a2 = a2 * s + c[i, 2]
+        a3 = a3 * s + c[i, 3]
+        a4 = a4 * s + c[i, 4]
+        a5 = a5 * s + c[i, 5]
+        a6 = a6 * s + c[i, 6]
+        a7 = a7 * s + c[i, 7]
+    return ((((((a7 * t + a6) * t + a5) * t + a4) * t + a3) * t + a2) * t + a1) * t + a0
+
+
+@compiled
+def value(F, x, y):
+    return _value(F.frame, F.child, F.coef, x, y)
+
+
+@compiled
+def derivatives2(frame, child, coef, x, y):
+    """f, f_x, f_y, f_xx, f_xy, f_yy."""
+    leaf, s, t, half = _locate(frame, child, x, y)
+    c = coef[leaf]
+    f = fs = ft = fss = fst = ftt = 0.0
+    for j in range(7, -1, -1):
+        p = p1 = p2 = 0.0
+        for i in range(7, -1, -1):
+            p2 = p2 * s + p1
+            p1 = p1 * s + p
+            p = p * s + c[i, j]
+        ftt = ftt * t + ft
+        ft = ft * t + f
+        f = f * t + p
+        fst = fst * t + fs
+        fs = fs * t + p1
+        fss = fss * t + 2.0 * p2
+    r = 1.0 / half
+    return f, fs * r, ft * r, fss * r * r, fst * r * r, 2.0 * ftt * r * r
+
+
+@compiled
+def derivatives3(frame, child, coef, x, y):
+    """f_xx, f_xy, f_yy, f_xxx, f_xxy, f_xyy, f_yyy."""
+    leaf, s, t, half = _locate(frame, child, x, y)
+    c = coef[leaf]
+    f = ft = ftt = fttt = fs = fst = fstt = fss = fsst = fsss = 0.0
+    for j in range(7, -1, -1):
+        p = p1 = p2 = p3 = 0.0
+        for i in range(7, -1, -1):
+            p3 = p3 * s + p2
+            p2 = p2 * s + p1
+            p1 = p1 * s + p
+            p = p * s + c[i, j]
+        fttt = fttt * t + ftt
+        ftt = ftt * t + ft
+        ft = ft * t + f
+        f = f * t + p
+        fstt = fstt * t + fst
+        fst = fst * t + fs
+        fs = fs * t + p1
+        fsst = fsst * t + fss
+        fss = fss * t + 2.0 * p2
+        fsss = fsss * t + 6.0 * p3
+    r2 = 1.0 / (half * half)
+    r3 = r2 / half
+    return (
+        fss * r2,
+        fst * r2,
+        2.0 * ftt * r2,
+        fsss * r3,
+        fsst * r3,
+        2.0 * fstt * r3,
+        6.0 * fttt * r3,
+    )
+
+
+@compiled
+def gradient(F, x, y):
+    leaf, s, t, half = _locate(F.frame, F.child, x, y)
+    c = F.coef[leaf]
+    f = fs = ft = 0.0
+    for j in range(7, -1, -1):
+        p = p1 = 0.0
+        for i in range(7, -1, -1):
+            p1 = p1 * s + p
+            p = p * s + c[i, j]
+        ft = ft * t + f
+        f = f * t + p
+        fs = fs * t + p1
+    return fs / half, ft / half
+
+
+@compiled
+def _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, s):
+    return _value(frame, child, coef, ax + s * dx, ay + s * dy) - (az + s * dz)
+
+
+@compiled
+def _scan(frame, child, coef, ax, ay, az, dx, dy, dz, n):
+    """N - 1 samples along an edge, climbing from each leading local maximum by a parabola."""
+    left = _value(frame, child, coef, ax, ay) - az
+    here = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 1.0 / n)
+    best, where = left, 0.0
+    for k in range(1, n):
+        right = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, (k + 1.0) / n)
+        size = abs(here)
+        sign = 1.0 if here > 0.0 else -1.0
+        if size > 0.85 * abs(best) and sign * left <= size and sign * right <= size:
+            if size > abs(best):
+                best, where = here, k / n
+            bend = left - 2.0 * here + right
+            if bend != 0.0:
+                s = (k + 0.5 * (left - right) / bend) / n
+                if 0.0 < s < 1.0:
+                    e = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, s)
+                    if abs(e) > abs(best):
+                        best, where = e, s
+        left, here = here, right
+    if abs(here) > abs(best):
+        best, where = here, 1.0
+    return best, where
+
+
+@compiled
+def edge_error(F, ax, ay, az, bx, by, bz, stop):
+    """Five samples, then the peak of the parabola through each leading sample and its neighbours.
+
+    Along an edge the error of a cubic may have two peaks of opposite sign (an S): both are climbed.
+    Where fourth differences tell that the error is no smooth arch, samples are taken more densely.
+    """
+    dx, dy, dz = bx - ax, by - ay, bz - az
+    frame, child, coef = F.frame, F.child, F.coef
+    e0 = _value(frame, child, coef, ax, ay) - az
+    e6 = _value(frame, child, coef, bx, by) - bz
+    e1 = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 1.0 / 6.0)
+    e2 = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 2.0 / 6.0)
+    e3 = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 3.0 / 6.0)
+    e4 = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 4.0 / 6.0)
+    e5 = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 5.0 / 6.0)
+    top = max(abs(e1), abs(e2), abs(e3), abs(e4), abs(e5))
+    fourth = max(
+        abs(e0 - 4.0 * e1 + 6.0 * e2 - 4.0 * e3 + e4),
+        abs(e1 - 4.0 * e2 + 6.0 * e3 - 4.0 * e4 + e5),
+        abs(e2 - 4.0 * e3 + 6.0 * e4 - 4.0 * e5 + e6),
+    )
+    if fourth > 0.15 * top and top <= stop:
+        return _scan(frame, child, coef, ax, ay, az, dx, dy, dz, 24 if fourth > 0.6 * top else 12)
+    best, where = e0, 0.0
+    if abs(e6) > abs(best):
+        best, where = e6, 1.0
+    left, here, right = e0, e1, e2
+    for k in range(1, 6):
+        if k == 2:
+            left, here, right = e1, e2, e3
+        elif k == 3:
+            left, here, right = e2, e3, e4
+        elif k == 4:
+            left, here, right = e3, e4, e5
+        elif k == 5:
+            left, here, right = e4, e5, e6
+        size = abs(here)
+        if size > abs(best):
+            best, where = here, k / 6.0
+        sign = 1.0 if here > 0.0 else -1.0
+        if size < 0.85 * top or sign * left > size or sign * right > size or size > stop:
+            continue
+        bend = left - 2.0 * here + right
+        if bend != 0.0:
+            s = (k + 0.5 * (left - right) / bend) / 6.0
+            if 0.0 < s < 1.0:
+                e = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, s)
+                if abs(e) > abs(best):
+                    best, where = e, s
+    return best, where
+
+
+@compiled
+def _signature(frame, child, coef, ax, ay, bx, by, cx, cy):
+    """1 or -1 where det H has one sign in the triangle as far as third derivatives tell, else 0."""
+    third = 1.0 / 3.0
+    mx, my = third * (ax + bx + cx), third * (ay + by + cy)
+    hxx, hxy, hyy, t111, t112, t122, t222 = derivatives3(frame, child, coef, mx, my)
+    det = hxx * hyy - hxy * hxy
+    for k in range(3):
+        dx, dy = ax - mx, ay - my
+        if k == 1:
+            dx, dy = bx - mx, by - my
+        elif k == 2:
+            dx, dy = cx - mx, cy - my
+        pxx = hxx + t111 * dx + t112 * dy
+        pxy = hxy + t112 * dx + t122 * dy
+        pyy = hyy + t122 * dx + t222 * dy
+        ratio = pxx * pyy - pxy * pxy
+        if (det > 0.0 and ratio < 0.3 * det) or (det <= 0.0 and ratio > 0.3 * det):
+            return 0
+    return 1 if det > 0.0 else -1
+
+
+@compiled
+def inner_error(F, ax, ay, az, bx, by, bz, cx, cy, cz, stop):
+    """Newton's method for grad f = slope of the triangle, from the centroid or the best of samples.
+
+    Where det H < 0 the error has no interior extremum (it satisfies a maximum principle). Where the
+    sign changes within the triangle, ten samples choose the start.
+    """
+    frame, child, coef = F.frame, F.child, F.coef
+    third = 1.0 / 3.0
+    x, y = third * (ax + bx + cx), third * (ay + by + cy)
+    sign = _signature(frame, child, coef, ax, ay, bx, by, cx, cy)
+    if sign < 0:
+        return 0.0, x, y
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    area = ux * vy - uy * vx
+    sx = (uz * vy - vz * uy) / area
+    sy = (ux * vz - vx * uz) / area
+    best, bestx, besty = 0.0, x, y
+    if sign == 0:
+        for i in range(1, 5):
+            for j in range(1, 6 - i):
+                px = ax + (i * ux + j * vx) / 6.0
+                py = ay + (i * uy + j * vy) / 6.0
+                e = _value(frame, child, coef, px, py) - (az + sx * (px - ax) + sy * (py - ay))
+                if abs(e) > abs(best):
+                    best, bestx, besty = e, px, py
+        x, y = bestx, besty
+    f, fx, fy, hxx, hxy, hyy = derivatives2(frame, child, coef, x, y)
+    best = f - (az + sx * (x - ax) + sy * (y - ay))
+    if abs(best) > stop:
+        return best, bestx, besty
+    for _ in range(4):
+        det = hxx * hyy - hxy * hxy
+        if det <= 0.0:
+            break
+        rx, ry = fx - sx, fy - sy
+        stepx = (hyy * rx - hxy * ry) / det
+        stepy = (hxx * ry - hxy * rx) / det
+        nx, ny = x - stepx, y - stepy
+        u = ((nx - ax) * vy - (ny - ay) * vx) / area
+        v = (ux * (ny - ay) - uy * (nx - ax)) / area
+        if u <= 0.0 or v <= 0.0 or u + v >= 1.0:
+            break
+        x, y = nx, ny
+        gain = rx * stepx + ry * stepy
+        f, fx, fy, hxx, hxy, hyy = derivatives2(frame, child, coef, x, y)
+        e = f - (az + sx * (x - ax) + sy * (y - ay))
+        if abs(e) > abs(best):
+            best, bestx, besty = e, x, y
+        if abs(gain) <= 2e-4 * abs(best):
+            break
+    return best, bestx, besty
