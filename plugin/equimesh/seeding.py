@@ -1,0 +1,88 @@
+"""Vertices of the first mesh: boundary nodes and the transported lattice between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimesh.boundary import BoundaryNodes
+from equimesh.domain import Sides, strips_of
+from equimesh.fields.kernel import KernelField
+from equimesh.front import grow
+from equimesh.pointtree import insert, make_tree
+
+__all__ = ["lattice_points"]
+
+# A lattice vertex nearer to the boundary than this (lattice spacings) is left to the boundary's
+# own.
+_GAP = 0.3
+# Two vertices of fronts that meet closer than this are one.
+_MERGE = 0.65
+
+
+def lattice_points(
+    field: KernelField,
+    sides: Sides,
+    nodes: BoundaryNodes,
+    tol: float,
+    floor: float,
+    expected: int,
+    *,
+    gap: float = _GAP,
+    merge: float = _MERGE,
+    start: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
+    """Interior vertices of the lattice for tolerance ``tol`` (local coordinates).
+
+    Parameters
+    ----------
+    expected
+        About how many vertices will be laid; three times as many are the limit.
+    start
+        (k, 3) places and gauges to try as seeds before the quasi-random ones.
+
+    Returns
+    -------
+    (n, 2) float
+    """
+    b = len(nodes.points)
+    capacity = b + 3 * expected + 1000
+    px, py = np.empty(capacity), np.empty(capacity)
+    px[:b], py[:b] = nodes.points.T
+    tree, link, used = make_tree(capacity)
+    low, high = sides.corners.min(0), sides.corners.max(0)
+    extent = float((high - low).max())
+    box = np.array([low[0], low[1], extent * (1.0 + 1e-9)])
+    for i in range(b):
+        insert(tree, link, used, box, px, py, i)
+    previous = np.empty(b, np.int64)
+    previous[nodes.following] = np.arange(b)
+    neighbours = np.stack([nodes.following, previous], 1)
+    segments = np.hstack([sides.corners, sides.corners[sides.following]])
+    strips = strips_of(segments)
+    seeds = _halton(max(64, 2 * expected)) * (high - low) + low
+    seeds = np.hstack([seeds, np.zeros((len(seeds), 1))])
+    if start is not None:
+        seeds = np.vstack([start, seeds])
+    count = grow(
+        field.frame, field.child, field.coef, 8.0 * tol, floor,
+        segments, *strips, tree, link, used, box, px, py,
+        np.empty((capacity, 4)), np.zeros(capacity, np.int8), neighbours, b, b,
+        seeds, gap, merge,
+    )  # fmt: skip
+    return np.stack([px[b:count], py[b:count]], 1)
+
+
+def _halton(n: int) -> NDArray[np.float64]:
+    """(n, 2) points of the Halton sequence in bases 2 and 3, the centre of the box first."""
+    out = np.empty((n, 2))
+    for axis, base in enumerate((2, 3)):
+        index = np.arange(1, n + 1)
+        result, weight = np.zeros(n), 1.0 / base
+        while index.any():
+            result += weight * (index % base)
+            index //= base
+            weight /= base
+        out[:, axis] = result
+    out[0] = 0.5
+    return out
