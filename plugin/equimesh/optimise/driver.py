@@ -1,0 +1,148 @@
+"""From a first mesh to one that keeps the tolerance with few triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimesh.fields.kernel import PATCHES, KernelField
+from equimesh.optimise.energy import evaluate_all
+from equimesh.optimise.greedy import refine
+from equimesh.optimise.mesh import FREE, SLIDES, Mesh, enlarged
+from equimesh.optimise.relax import Queue, make_queue
+from equimesh.optimise.sweep import (
+    flip_all,
+    insert_round,
+    relax_all,
+    removal_round,
+    split_listed,
+    thin_out,
+    vertex_waste,
+    violations,
+)
+
+__all__ = ["EFFORTS", "Effort", "optimise", "repair"]
+
+Report = Callable[[float], None]
+# Hardly any removal succeeds around a vertex that could spare fewer triangles than this.
+_WORTH = 1.5
+MOST_TRIANGLES = 40_000_000
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to look for vertices that can go.
+
+    ``rounds`` of removal, each trial with at most ``visits`` moves of vertices around it.
+    """
+
+    rounds: int
+    visits: int
+
+
+EFFORTS = {"fast": Effort(1, 30), "balanced": Effort(4, 80), "best": Effort(12, 240)}
+
+
+def optimise(
+    field: KernelField, mesh: Mesh, tol: float, effort: str, report: Report
+) -> tuple[Mesh, bool]:
+    """Bring every error of the mesh to at most ``tol``, then take out what is not needed.
+
+    Returns the mesh (enlarged where it had to be) and whether every violation is gone.
+    """
+    how = EFFORTS[effort]
+    evaluate_all(field, mesh, tol)
+    if field.kind == PATCHES:
+        queue = make_queue(len(mesh.x))
+        flip_all(field, mesh, tol, 50)
+        relax_all(field, mesh, tol, queue, 40)
+        report(0.3)
+        mesh = _lower_errors(field, mesh, tol, queue)
+    else:
+        mesh = _refine(field, mesh, tol)
+        report(0.3)
+        flip_all(field, mesh, tol, 4)
+        for _ in range(6):
+            if thin_out(field, mesh, tol) == 0:
+                break
+    report(0.5)
+    _remove(field, mesh, tol, how, report)
+    return mesh, bool(violations(mesh, 1.0)[0] == 0)
+
+
+def repair(field: KernelField, mesh: Mesh, tol: float, slots: NDArray[np.int64]) -> Mesh:
+    """Split the triangles in ``slots``, whose errors a closer look found too large."""
+    if room(mesh) < 8 * len(slots) + 1000:
+        mesh = enlarged(mesh)
+    queue = make_queue(len(mesh.x))
+    split_listed(field, mesh, tol, queue, slots)
+    return _lower_errors(field, mesh, tol, queue)
+
+
+def room(mesh: Mesh) -> int:
+    """Spare slots for triangles and twice the vertices, whichever is less."""
+    c = mesh.count
+    return int(min(len(mesh.tv) - c[0], 2 * (len(mesh.x) - c[1])))
+
+
+def _lower_errors(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Mesh:
+    """Insert vertices, a few far apart at a time, until no error exceeds ``tol``."""
+    stamp = np.zeros(len(mesh.x), np.int64)
+    for number in range(1, 40):
+        order = _violated(mesh)
+        if len(order) == 0:
+            return mesh
+        if room(mesh) < 4 * len(order):
+            mesh = enlarged(mesh)
+            queue, stamp = make_queue(len(mesh.x)), np.zeros(len(mesh.x), np.int64)
+        made = insert_round(field, mesh, tol, queue, stamp, number, order, 60)
+        relax_all(field, mesh, tol, queue, 12)
+        if made == 0:
+            break
+    return _refine(field, mesh, tol)
+
+
+def _refine(field: KernelField, mesh: Mesh, tol: float) -> Mesh:
+    """Greedy insertion, in a larger mesh each time the slots run out."""
+    while True:
+        scratch = 4 * len(mesh.tv) + 10_000
+        done = refine(field, mesh, tol, np.zeros(scratch, np.int64), np.zeros(scratch))
+        if done or len(mesh.tv) >= MOST_TRIANGLES:
+            return mesh
+        mesh = enlarged(mesh)
+
+
+def _violated(mesh: Mesh) -> NDArray[np.int64]:
+    """Triangles with an error above the tolerance, the worst first."""
+    m = int(mesh.count[0])
+    worst = np.maximum(np.abs(mesh.ee[:m]).max(1), np.abs(mesh.ie[:m]))
+    worst[mesh.tv[:m, 0] < 0] = 0.0
+    found = np.flatnonzero(worst > 1.0)
+    return np.asarray(found[np.argsort(-worst[found], kind="stable")])
+
+
+def _remove(field: KernelField, mesh: Mesh, tol: float, effort: Effort, report: Report) -> None:
+    """Rounds of removal with repair; after the first only where something changed."""
+    queue = make_queue(len(mesh.x))
+    stamp = np.zeros(len(mesh.x), np.int64)
+    for number in range(1, effort.rounds + 1):
+        candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
+        if number > 1:
+            candidates = candidates[stamp[candidates] == number - 1]
+        waste = vertex_waste(field, mesh, tol, candidates)
+        wasteful = waste > _WORTH
+        order = np.argsort(-waste[wasteful], kind="stable")
+        candidates = candidates[wasteful][order]
+        removed = 0
+        for first in range(0, len(candidates), 2000):
+            part = candidates[first : first + 2000]
+            removed += removal_round(
+                field, mesh, tol, queue, part, effort.visits, 30.0, stamp, number
+            )[0]
+            done = (number - 1 + (first + len(part)) / len(candidates)) / effort.rounds
+            report(0.5 + 0.5 * done)
+        if removed == 0:
+            break

@@ -1,0 +1,92 @@
+"""What the optimiser lowers: how far the errors of edges and insides exceed the tolerance.
+
+The hinge ``max(0, e - 0.985)`` leaves settled triangles alone. It is linear, and each violation
+costs a step besides: a convex power would trade a few large violations for many slight ones and
+spread them over a settled interior. A small power keeps an order where nothing is violated.
+"""
+
+from __future__ import annotations
+
+from equimesh.fields.compiled import compiled
+from equimesh.fields.dispatch import edge_error, inner_error
+from equimesh.optimise.topology import note_triangle
+
+__all__ = ["HINGE", "evaluate_all", "evaluate_triangle", "penalty", "set_edge", "set_inner"]
+
+HINGE = 0.985
+_CEILING = 1e3  # beyond it, more is not worse: keeps sums finite
+
+
+@compiled
+def penalty(e):
+    """Price of an error e (in units of the tolerance, signed)."""
+    e = min(abs(e), _CEILING)
+    over = e - HINGE
+    e2 = e * e
+    small = 1e-4 * e2 * e2 if e < 1.0 else 1e-4 * e2
+    if over <= 0.0:
+        return small
+    return small + over + (0.05 if e > 1.0 else 0.0)
+
+
+@compiled
+def edge_of(F, m, tol, a, b):
+    """(signed error / tol, position) of the segment from vertex a to vertex b."""
+    e, s = edge_error(F, m.x[a], m.y[a], m.z[a], m.x[b], m.y[b], m.z[b], 1e3 * tol)
+    return e / tol, s
+
+
+@compiled
+def inner_of(F, m, tol, a, b, c):
+    """(signed error / tol, x, y) inside the triangle a, b, c."""
+    e, x, y = inner_error(
+        F, m.x[a], m.y[a], m.z[a], m.x[b], m.y[b], m.z[b], m.x[c], m.y[c], m.z[c], 1e3 * tol
+    )
+    return e / tol, x, y
+
+
+@compiled
+def set_edge(m, t, k, e, s):
+    """Store an edge's error on both of its sides."""
+    m.ee[t, k], m.ep[t, k] = e, s
+    u = m.tn[t, k]
+    if u >= 0:
+        a = m.tv[t, k]
+        for j in range(3):
+            if m.tn[u, j] == t and m.tv[u, (j + 1) % 3] == a:
+                note_triangle(m, u)
+                m.ee[u, j], m.ep[u, j] = e, 1.0 - s
+                return
+
+
+@compiled
+def set_inner(F, m, tol, t):
+    m.ie[t], m.ix[t], m.iy[t] = inner_of(F, m, tol, m.tv[t, 0], m.tv[t, 1], m.tv[t, 2])
+
+
+@compiled
+def evaluate_triangle(F, m, tol, t):
+    """Errors of t's inside and of its three edges; the caller has noted t."""
+    for k in range(3):
+        e, s = edge_of(F, m, tol, m.tv[t, k], m.tv[t, (k + 1) % 3])
+        set_edge(m, t, k, e, s)
+    set_inner(F, m, tol, t)
+
+
+@compiled
+def evaluate_all(F, m, tol):
+    """Errors of every edge and inside."""
+    for t in range(m.count[0]):
+        if m.tv[t, 0] < 0:
+            continue
+        for k in range(3):
+            if m.tn[t, k] < t:  # border, or first seen from here
+                e, s = edge_of(F, m, tol, m.tv[t, k], m.tv[t, (k + 1) % 3])
+                set_edge(m, t, k, e, s)
+        set_inner(F, m, tol, t)
+
+
+@compiled
+def worst_of(m, t):
+    """Largest error of triangle t."""
+    return max(abs(m.ee[t, 0]), abs(m.ee[t, 1]), abs(m.ee[t, 2]), abs(m.ie[t]))

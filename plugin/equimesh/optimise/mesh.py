@@ -1,0 +1,150 @@
+"""A triangulation that compiled kernels change in place, with a journal to undo what did not help.
+
+Triangles are counter-clockwise; edge k of a triangle runs from its vertex k to its vertex k + 1,
+and ``tn[t, k]`` is the triangle beyond it (-1 at the border). Errors are in units of the tolerance.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FIXED", "FREE", "SLIDES", "Mesh", "build", "compact", "enlarged"]
+
+FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
+
+# Positions in Mesh.count.
+(
+    TRIANGLES,
+    VERTICES,
+    FREE_TRIANGLES,
+    FREE_VERTICES,
+    LOG_T,
+    LOG_V,
+    RECORDING,
+    LOST_T,
+    LOST_V,
+    EPOCH,
+) = range(10)
+
+
+class Mesh(NamedTuple):
+    """Arrays of a mesh in local coordinates; slots beyond ``count`` are spare."""
+
+    x: NDArray[np.float64]  # (v,)
+    y: NDArray[np.float64]
+    z: NDArray[np.float64]
+    kind: NDArray[np.int8]  # FREE, SLIDES along its side, FIXED, GONE
+    side: NDArray[np.int64]  # row of ``sides`` on which a sliding vertex lies
+    v2t: NDArray[np.int64]  # one triangle of each vertex
+    tv: NDArray[np.int64]  # (t, 3) vertices; -1 in the first for a spare slot
+    tn: NDArray[np.int64]  # (t, 3) neighbours
+    wall: NDArray[np.uint8]  # (t, 3) 1 where the edge must stay
+    ee: NDArray[np.float64]  # (t, 3) signed largest error of each edge
+    ep: NDArray[np.float64]  # (t, 3) where along the edge
+    ie: NDArray[np.float64]  # (t,) signed largest error inside
+    ix: NDArray[np.float64]
+    iy: NDArray[np.float64]
+    mark: NDArray[np.int64]  # (t,) equal to count[EPOCH] where already seen in a walk
+    sides: NDArray[np.float64]  # (s, 4) segments on which vertices slide
+    spare_t: NDArray[np.int64]  # stacks of spare slots
+    spare_v: NDArray[np.int64]
+    count: NDArray[np.int64]  # type: ignore[assignment]  # hides tuple.count, which is not used
+    log_ti: NDArray[np.int64]  # journal: triangle, vertices, neighbours, walls
+    log_tf: NDArray[np.float64]  # errors
+    log_vi: NDArray[np.int64]  # vertex, kind, side, triangle
+    log_vf: NDArray[np.float64]  # position
+    lost_t: NDArray[np.int64]  # slots given up while recording
+    lost_v: NDArray[np.int64]
+    ring: NDArray[np.int64]  # (4, 512) scratch: vertices, triangles and indices of a star; a copy
+    work: NDArray[np.float64]  # (8, 512) scratch: a star's tentative errors
+    hole_i: NDArray[np.int64]  # (3, 64, 24) scratch of vertex removal
+    hole_f: NDArray[np.float64]  # (4, 24, 24)
+
+
+def build(
+    points: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    kind: NDArray[np.int8],
+    side: NDArray[np.int64],
+    sides: NDArray[np.float64],
+    walls: NDArray[np.int64] | None = None,
+    room: float = 1.0,
+) -> Mesh:
+    """A mesh from points (n, 3), counter-clockwise triangles (m, 3) and vertex kinds.
+
+    ``walls`` (c, 2) are inner edges that must stay; ``room`` is the share of spare slots.
+    """
+    n, m = len(points), len(triangles)
+    nv, nt = int((1 + room) * n) + 1000, int((1 + room) * m) + 2000
+
+    def padded(a: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+        out = np.zeros(size)
+        out[: len(a)] = a
+        return out
+
+    kinds, side_of = np.full(nv, GONE, np.int8), np.zeros(nv, np.int64)
+    kinds[:n], side_of[:n] = kind, side
+    tv, tn = np.full((nt, 3), -1, np.int64), np.full((nt, 3), -1, np.int64)
+    tv[:m] = triangles
+    start, end = triangles.ravel().astype(np.int64), np.roll(triangles, -1, axis=1).ravel()
+    key, back = start * n + end, end.astype(np.int64) * n + start
+    order = np.argsort(key, kind="stable")
+    place = np.minimum(np.searchsorted(key[order], back), 3 * m - 1)
+    twin = order[place]
+    tn[:m] = np.where(key[twin] == back, twin // 3, -1).reshape(m, 3)
+    wall = np.zeros((nt, 3), np.uint8)
+    if walls is not None and len(walls):
+        low, high = np.minimum(start, end), np.maximum(start, end)
+        kept = np.sort(walls.min(1) * n + walls.max(1))
+        found = np.minimum(np.searchsorted(kept, low * n + high), len(kept) - 1)
+        wall[:m] = (kept[found] == low * n + high).reshape(m, 3)
+    v2t = np.full(nv, -1, np.int64)
+    v2t[triangles.ravel()] = np.repeat(np.arange(m, dtype=np.int64), 3)
+    count = np.zeros(10, np.int64)
+    count[TRIANGLES], count[VERTICES] = m, n
+    log = 20_000
+    return Mesh(
+        padded(points[:, 0], nv), padded(points[:, 1], nv), padded(points[:, 2], nv),
+        kinds, side_of, v2t, tv, tn, wall,
+        np.zeros((nt, 3)), np.zeros((nt, 3)), np.zeros(nt), np.zeros(nt), np.zeros(nt),
+        np.zeros(nt, np.int64), np.ascontiguousarray(sides, float),
+        np.zeros(nt, np.int64), np.zeros(nv, np.int64), count,
+        np.zeros((log, 10), np.int64), np.zeros((log, 9)),
+        np.zeros((log, 4), np.int64), np.zeros((log, 3)),
+        np.zeros(log, np.int64), np.zeros(log, np.int64),
+        np.zeros((4, 512), np.int64), np.zeros((8, 512)),
+        np.zeros((3, 64, 24), np.int64), np.zeros((4, 24, 24)),
+    )  # fmt: skip
+
+
+def compact(
+    mesh: Mesh,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int8], NDArray[np.int64]]:
+    """Points (n, 3), triangles (m, 3), kind (n,) and side (n,) without the spare slots."""
+    live_t = mesh.tv[:, 0] >= 0
+    triangles = mesh.tv[live_t].astype(np.int64)
+    live_v = mesh.kind != GONE
+    index = np.cumsum(live_v) - 1
+    points = np.stack([mesh.x[live_v], mesh.y[live_v], mesh.z[live_v]], 1)
+    return points, index[triangles], mesh.kind[live_v], mesh.side[live_v]
+
+
+def enlarged(mesh: Mesh) -> Mesh:
+    """The same mesh with twice the slots."""
+    grown = {}
+    for name in ("tv", "tn", "wall", "ee", "ep", "ie", "ix", "iy", "spare_t", "mark"):
+        old = getattr(mesh, name)
+        new = np.zeros((2 * old.shape[0], *old.shape[1:]), old.dtype)
+        if name in ("tv", "tn"):
+            new[:] = -1
+        new[: len(old)] = old
+        grown[name] = new
+    for name in ("x", "y", "z", "kind", "side", "v2t", "spare_v"):
+        old = getattr(mesh, name)
+        new = np.full(2 * len(old), GONE if name == "kind" else 0, old.dtype)
+        new[: len(old)] = old
+        grown[name] = new
+    return mesh._replace(**grown)

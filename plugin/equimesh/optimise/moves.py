@@ -1,0 +1,228 @@
+"""Local improvements: edge flips and vertex moves.
+
+A vertex moves by a damped Gauss-Newton step on the violated errors around it. At its peak p the
+error of a spoke (v, r) is stationary in p, so its derivative is ``(1 - s) (grad f(p) - grad
+f(v))``, and likewise with the barycentric weight of v for the inside of a triangle (vertices stay
+on the graph).
+"""
+
+from __future__ import annotations
+
+import math
+
+from equimesh.fields.compiled import compiled
+from equimesh.fields.dispatch import gradient, value
+from equimesh.optimise.energy import HINGE, edge_of, inner_of, penalty
+from equimesh.optimise.mesh import FIXED, SLIDES
+from equimesh.optimise.topology import flip, note_triangle, note_vertex, positive, star
+
+__all__ = ["move_vertex", "star_energy", "try_flip"]
+
+
+@compiled
+def try_flip(F, m, tol, t, k):
+    """Flip edge k of t if that lowers the penalty of the edge and the two insides."""
+    u = m.tn[t, k]
+    if u < 0 or m.wall[t, k] == 1:
+        return False
+    before = penalty(m.ee[t, k]) + penalty(m.ie[t]) + penalty(m.ie[u])
+    if before < 1e-5:
+        return False
+    b = m.tv[t, (k + 1) % 3]
+    j = 0
+    while not (m.tn[u, j] == t and m.tv[u, j] == b):
+        j += 1
+    a, c, d = m.tv[t, k], m.tv[t, (k + 2) % 3], m.tv[u, (j + 2) % 3]
+    if not positive(m.x[c], m.y[c], m.x[a], m.y[a], m.x[d], m.y[d]):
+        return False
+    if not positive(m.x[d], m.y[d], m.x[b], m.y[b], m.x[c], m.y[c]):
+        return False
+    goal = before * 0.999 - 1e-9
+    e, s = edge_of(F, m, tol, d, c)
+    after = penalty(e)
+    if after >= goal:
+        return False
+    e1, x1, y1 = inner_of(F, m, tol, c, a, d)
+    after += penalty(e1)
+    if after >= goal:
+        return False
+    e2, x2, y2 = inner_of(F, m, tol, d, b, c)
+    after += penalty(e2)
+    if after >= goal:
+        return False
+    u = flip(m, t, k)
+    m.ee[t, 2], m.ep[t, 2] = e, s
+    m.ee[u, 2], m.ep[u, 2] = e, 1.0 - s
+    m.ie[t], m.ix[t], m.iy[t] = e1, x1, y1
+    m.ie[u], m.ix[u], m.iy[u] = e2, x2, y2
+    return True
+
+
+@compiled
+def star_energy(m, n, closed):
+    """Penalty of the spokes and insides of the star in ``m.ring``."""
+    total = 0.0
+    for i in range(n):
+        t, k = m.ring[1, i], m.ring[2, i]
+        total += penalty(m.ee[t, k]) + penalty(m.ie[t])
+    if not closed:
+        t, k = m.ring[1, n - 1], m.ring[2, n - 1]
+        total += penalty(m.ee[t, (k + 2) % 3])
+    return total
+
+
+@compiled
+def _trial(F, m, tol, v, n, closed, goal):
+    """Penalty of the star at v's present coordinates, up to ``goal``; errors go to ``m.work``."""
+    vx, vy = m.x[v], m.y[v]
+    spokes = n if closed else n + 1
+    for i in range(n):
+        p = m.ring[0, i]
+        q = m.ring[0, (i + 1) % spokes]
+        if not positive(vx, vy, m.x[p], m.y[p], m.x[q], m.y[q]):
+            return math.inf
+    total = 0.0
+    for i in range(spokes):
+        e, s = edge_of(F, m, tol, v, m.ring[0, i])
+        m.work[0, i], m.work[1, i] = e, s
+        total += penalty(e)
+        if total >= goal:
+            return total
+    for i in range(n):
+        e, x, y = inner_of(F, m, tol, v, m.ring[0, i], m.ring[0, (i + 1) % spokes])
+        m.work[2, i], m.work[3, i], m.work[4, i] = e, x, y
+        total += penalty(e)
+        if total >= goal:
+            return total
+    return total
+
+
+@compiled
+def store_star(m, v, n, closed):
+    """Write the errors in ``m.work`` into the star's triangles."""
+    for i in range(n):
+        t, k = m.ring[1, i], m.ring[2, i]
+        note_triangle(m, t)
+        m.ie[t], m.ix[t], m.iy[t] = m.work[2, i], m.work[3, i], m.work[4, i]
+        m.ee[t, k], m.ep[t, k] = m.work[0, i], m.work[1, i]
+        j = (i + 1) % n if closed else i + 1
+        m.ee[t, (k + 2) % 3], m.ep[t, (k + 2) % 3] = m.work[0, j], 1.0 - m.work[1, j]
+
+
+@compiled
+def _gauss_newton(F, m, tol, v, n, closed, dirx, diry):
+    """Damped step (dx, dy) on the violated errors of the star; (dirx, diry) != 0 restricts it.
+
+    Residuals and their slopes are gathered in ``m.work`` rows 5 to 7.
+    """
+    vx, vy = m.x[v], m.y[v]
+    gx, gy = gradient(F, vx, vy)
+    if not (math.isfinite(gx) and math.isfinite(gy)):
+        return 0.0, 0.0
+    count = 0
+    spokes = n if closed else n + 1
+    for i in range(spokes):
+        if i < n:
+            t, k = m.ring[1, i], m.ring[2, i]
+            e, s = m.ee[t, k], m.ep[t, k]
+        else:
+            t, k = m.ring[1, n - 1], (m.ring[2, n - 1] + 2) % 3
+            e, s = m.ee[t, k], 1.0 - m.ep[t, k]
+        r = m.ring[0, i]
+        px, py = vx + s * (m.x[r] - vx), vy + s * (m.y[r] - vy)
+        hx, hy = gradient(F, px, py)
+        if math.isfinite(hx) and math.isfinite(hy):
+            w = (1.0 - s) / tol * (1.0 if e > 0.0 else -1.0)
+            m.work[5, count] = abs(e) - HINGE
+            m.work[6, count], m.work[7, count] = w * (hx - gx), w * (hy - gy)
+            count += 1
+    for i in range(n):
+        t = m.ring[1, i]
+        e = m.ie[t]
+        if abs(e) < 0.8:
+            continue
+        p, q = m.ring[0, i], m.ring[0, (i + 1) % spokes]
+        area = (m.x[p] - vx) * (m.y[q] - vy) - (m.y[p] - vy) * (m.x[q] - vx)
+        x, y = m.ix[t], m.iy[t]
+        w = ((m.x[p] - x) * (m.y[q] - y) - (m.y[p] - y) * (m.x[q] - x)) / area
+        hx, hy = gradient(F, x, y)
+        if math.isfinite(hx) and math.isfinite(hy):
+            w *= (1.0 if e > 0.0 else -1.0) / tol
+            m.work[5, count] = abs(e) - HINGE
+            m.work[6, count], m.work[7, count] = w * (hx - gx), w * (hy - gy)
+            count += 1
+    # All slopes, violated or not, measure lengths: damping by them does not see affine maps.
+    d11 = d12 = d22 = 1e-300
+    for i in range(count):
+        a, b = m.work[6, i], m.work[7, i]
+        d11 += a * a
+        d12 += a * b
+        d22 += b * b
+    dx = dy = 0.0
+    for _ in range(3):
+        h11, h12, h22 = 0.02 * d11, 0.02 * d12, 0.02 * d22
+        g1 = g2 = 0.0
+        for i in range(count):
+            r = m.work[5, i]
+            a, b = m.work[6, i], m.work[7, i]
+            if r + a * dx + b * dy > 0.0:
+                h11 += a * a
+                h12 += a * b
+                h22 += b * b
+                g1 += a * r
+                g2 += b * r
+        if dirx != 0.0 or diry != 0.0:
+            h = h11 * dirx * dirx + 2 * h12 * dirx * diry + h22 * diry * diry
+            if h <= 0.0:
+                return 0.0, 0.0
+            step = -(g1 * dirx + g2 * diry) / h
+            dx, dy = step * dirx, step * diry
+        else:
+            det = h11 * h22 - h12 * h12
+            if det <= 1e-14 * h11 * h22:
+                return 0.0, 0.0
+            dx, dy = (-h22 * g1 + h12 * g2) / det, (-h11 * g2 + h12 * g1) / det
+    return dx, dy
+
+
+@compiled
+def move_vertex(F, m, tol, v):
+    """Move v where that lowers the penalty of its star; returns the gain (0: it stays).
+
+    ``m.ring`` holds the star of v afterwards.
+    """
+    n, closed = star(m, v)
+    if n == 0 or m.kind[v] == FIXED:
+        return 0.0
+    before = star_energy(m, n, closed)
+    if before < 1e-3:
+        return 0.0
+    dirx = diry = 0.0
+    if m.kind[v] == SLIDES:
+        side = m.sides[m.side[v]]
+        dirx, diry = side[2] - side[0], side[3] - side[1]
+    dx, dy = _gauss_newton(F, m, tol, v, n, closed, dirx, diry)
+    if not (math.isfinite(dx) and math.isfinite(dy)) or (dx == 0.0 and dy == 0.0):
+        return 0.0
+    x, y, z = m.x[v], m.y[v], m.z[v]
+    note_vertex(m, v)
+    scale = 1.0
+    for _ in range(4):
+        nx, ny = x + scale * dx, y + scale * dy
+        if m.kind[v] == SLIDES:
+            side = m.sides[m.side[v]]
+            along = ((nx - side[0]) * dirx + (ny - side[1]) * diry) / (dirx**2 + diry**2)
+            nx, ny = side[0] + along * dirx, side[1] + along * diry
+            if along <= 0.0 or along >= 1.0:
+                scale *= 0.4
+                continue
+        nz = value(F, nx, ny)
+        if math.isfinite(nz):
+            m.x[v], m.y[v], m.z[v] = nx, ny, nz
+            after = _trial(F, m, tol, v, n, closed, before * 0.995)
+            if after < before * 0.995:
+                store_star(m, v, n, closed)
+                return before - after
+        scale *= 0.4
+    m.x[v], m.y[v], m.z[v] = x, y, z
+    return 0.0

@@ -1,0 +1,129 @@
+"""Relaxation of a neighbourhood: a queue of vertices whose surroundings can still improve."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimesh.fields.compiled import compiled
+from equimesh.optimise.energy import penalty
+from equimesh.optimise.mesh import GONE
+from equimesh.optimise.moves import move_vertex, try_flip
+from equimesh.optimise.topology import room_left, star
+
+__all__ = ["Queue", "make_queue", "push", "push_violated", "relax"]
+
+_IDLE = 1e-3  # a star with a smaller penalty is left alone
+
+
+class Queue(NamedTuple):
+    """First in, first out; ``waiting`` marks members, ``visits`` counts within an epoch."""
+
+    items: NDArray[np.int64]
+    waiting: NDArray[np.uint8]
+    visits: NDArray[np.int64]
+    stamp: NDArray[np.int64]
+    state: NDArray[np.int64]  # head, length, epoch
+
+
+def make_queue(vertices: int) -> Queue:
+    """A queue for vertices 0 ... ``vertices`` - 1."""
+    return Queue(
+        np.zeros(vertices, np.int64),
+        np.zeros(vertices, np.uint8),
+        np.zeros(vertices, np.int64),
+        np.zeros(vertices, np.int64),
+        np.zeros(3, np.int64),
+    )
+
+
+@compiled
+def push(q, v):
+    if q.waiting[v] == 0:
+        size = q.items.shape[0]
+        q.items[(q.state[0] + q.state[1]) % size] = v
+        q.state[1] += 1
+        q.waiting[v] = 1
+
+
+@compiled
+def clear(q):
+    """Empty the queue and start a new count of visits."""
+    size = q.items.shape[0]
+    while q.state[1] > 0:
+        q.waiting[q.items[q.state[0]]] = 0
+        q.state[0] = (q.state[0] + 1) % size
+        q.state[1] -= 1
+    q.state[2] += 1
+
+
+@compiled
+def push_violated(m, q):
+    """All vertices of violated edges and insides, in the order of their numbers."""
+    for t in range(m.count[0]):
+        if m.tv[t, 0] < 0:
+            continue
+        if abs(m.ie[t]) > 1.0:
+            for k in range(3):
+                push(q, m.tv[t, k])
+        for k in range(3):
+            if abs(m.ee[t, k]) > 1.0:
+                push(q, m.tv[t, k])
+                push(q, m.tv[t, (k + 1) % 3])
+                push(q, m.tv[t, (k + 2) % 3])
+
+
+@compiled
+def _flip_around(F, m, tol, v):
+    """Flips of the edges of v's star; returns whether any was made."""
+    any_flip = False
+    for _ in range(20):
+        n, _ = star(m, v)
+        done = True
+        for i in range(n):
+            t, k = m.ring[1, i], m.ring[2, i]
+            if penalty(m.ee[t, k]) + penalty(m.ie[t]) > _IDLE and try_flip(F, m, tol, t, k):
+                done = False
+                break
+            k1 = (k + 1) % 3
+            if penalty(m.ee[t, k1]) + penalty(m.ie[t]) > _IDLE and try_flip(F, m, tol, t, k1):
+                done = False
+                break
+        if done:
+            return any_flip
+        any_flip = True
+    return any_flip
+
+
+@compiled
+def relax(F, m, tol, q, budget, per_vertex):
+    """Work the queue off; at most ``budget`` visits and ``per_vertex`` for each. Returns visits."""
+    size = q.items.shape[0]
+    done = 0
+    while q.state[1] > 0 and done < budget:
+        v = q.items[q.state[0]]
+        q.state[0] = (q.state[0] + 1) % size
+        q.state[1] -= 1
+        q.waiting[v] = 0
+        if m.kind[v] == GONE:
+            continue
+        if q.stamp[v] != q.state[2]:
+            q.stamp[v] = q.state[2]
+            q.visits[v] = 0
+        if q.visits[v] >= per_vertex:
+            continue
+        if not room_left(m):
+            break
+        q.visits[v] += 1
+        done += 1
+        flipped = _flip_around(F, m, tol, v)
+        gain = move_vertex(F, m, tol, v)
+        if flipped or gain > 0.0:
+            n, closed = star(m, v)
+            count = n if closed else n + 1
+            for i in range(count):
+                push(q, m.ring[0, i])
+            push(q, v)
+    return done

@@ -1,0 +1,247 @@
+"""The order of the moves: flip, relax, insert where it must be, remove where it can be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from equimesh.fields.compiled import compiled
+from equimesh.fields.kernel import PATCHES
+from equimesh.fields.patch_kernels import derivatives2
+from equimesh.optimise.energy import penalty, worst_of
+from equimesh.optimise.insertion import split_edge, split_inside
+from equimesh.optimise.mesh import FREE, SLIDES
+from equimesh.optimise.moves import try_flip
+from equimesh.optimise.relax import clear, push, push_violated, relax
+from equimesh.optimise.removal import remove_if_clean, remove_vertex, touched_excess
+from equimesh.optimise.topology import begin, commit, rollback, room_left, star
+
+__all__ = [
+    "flip_all",
+    "insert_round",
+    "relax_all",
+    "removal_round",
+    "split_listed",
+    "thin_out",
+    "vertex_waste",
+    "violations",
+]
+
+_AREA_CONVEX = 3.0 * math.sqrt(3.0) / 16.0  # of the optimal triangles in units of 8 tol
+_AREA_SADDLE = math.sqrt(5.0) / 4.0
+
+
+@compiled
+def flip_all(F, m, tol, passes):
+    """Sweep over all edges until none is worth flipping; returns the number of flips."""
+    total = 0
+    for _ in range(passes):
+        made = 0
+        for t in range(m.count[0]):
+            if m.tv[t, 0] < 0:
+                continue
+            for k in range(3):
+                if penalty(m.ee[t, k]) + penalty(m.ie[t]) > 1e-3 and try_flip(F, m, tol, t, k):
+                    made += 1
+        total += made
+        if made == 0:
+            break
+    return total
+
+
+@compiled
+def violations(m, limit):
+    """How many triangles have an error above ``limit``, and the largest error."""
+    count, worst = 0, 0.0
+    for t in range(m.count[0]):
+        if m.tv[t, 0] >= 0:
+            e = worst_of(m, t)
+            worst = max(worst, e)
+            if e > limit:
+                count += 1
+    return count, worst
+
+
+@compiled
+def relax_all(F, m, tol, q, per_vertex):
+    """Relax around every violation."""
+    clear(q)
+    push_violated(m, q)
+    return relax(F, m, tol, q, 1 << 60, per_vertex)
+
+
+@compiled
+def _split_at_worst(F, m, tol, t):
+    """Split the place of t's largest error; returns the new vertex or -1."""
+    k, e = -1, abs(m.ie[t])
+    for i in range(3):
+        if abs(m.ee[t, i]) > e:
+            k, e = i, abs(m.ee[t, i])
+    if k < 0:
+        v = split_inside(F, m, tol, t, m.ix[t], m.iy[t])
+        if v >= 0:
+            return v
+        k = 0
+        for i in range(1, 3):
+            if abs(m.ee[t, i]) > abs(m.ee[t, k]):
+                k = i
+    return split_edge(F, m, tol, t, k, min(max(m.ep[t, k], 0.3), 0.7))
+
+
+@compiled
+def insert_round(F, m, tol, q, stamp, number, order, budget):
+    """Insert at the worst of each cluster of violations, then relax its surroundings.
+
+    ``order``: triangles by falling error; ``stamp`` (v,) marks vertices near an insertion of this
+    round by ``number``. Returns the number of insertions.
+    """
+    made = 0
+    for i in range(order.shape[0]):
+        t = order[i]
+        if m.tv[t, 0] < 0 or worst_of(m, t) <= 1.0:
+            continue
+        if m.count[0] + 64 >= m.tv.shape[0] or m.count[1] + 64 >= m.x.shape[0]:
+            break
+        if (
+            stamp[m.tv[t, 0]] == number
+            or stamp[m.tv[t, 1]] == number
+            or stamp[m.tv[t, 2]] == number
+        ):
+            continue
+        v = _split_at_worst(F, m, tol, t)
+        if v < 0:
+            continue
+        made += 1
+        clear(q)
+        push(q, v)
+        n, closed = star(m, v)
+        count = n if closed else n + 1
+        for j in range(count):
+            push(q, m.ring[0, j])
+            stamp[m.ring[0, j]] = number
+        stamp[v] = number
+        relax(F, m, tol, q, budget, 8)
+        n, closed = star(m, v)
+        count = n if closed else n + 1
+        for j in range(count):
+            stamp[m.ring[0, j]] = number
+    return made
+
+
+@compiled
+def split_listed(F, m, tol, q, slots):
+    """Split each listed triangle at its worst place and relax around it."""
+    for i in range(slots.shape[0]):
+        if m.tv[slots[i], 0] < 0:
+            continue
+        v = _split_at_worst(F, m, tol, slots[i])
+        if v >= 0:
+            clear(q)
+            push(q, v)
+            relax(F, m, tol, q, 20, 4)
+
+
+@compiled
+def triangle_waste(F, m, tol, t):
+    """1 - area in the metric over the optimal area: 0 for a lattice triangle."""
+    a, b, c = m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]
+    area = 0.5 * ((m.x[b] - m.x[a]) * (m.y[c] - m.y[a]) - (m.y[b] - m.y[a]) * (m.x[c] - m.x[a]))
+    third = 1.0 / 3.0
+    _, _, _, hxx, hxy, hyy = derivatives2(
+        F.frame, F.child, F.coef,
+        third * (m.x[a] + m.x[b] + m.x[c]), third * (m.y[a] + m.y[b] + m.y[c]),
+    )  # fmt: skip
+    det = (hxx * hyy - hxy * hxy) / (64.0 * tol * tol)
+    if det > 0.0:
+        return 1.0 - math.sqrt(det) * area / _AREA_CONVEX
+    return 1.0 - math.sqrt(-det) * area / _AREA_SADDLE
+
+
+@njit(cache=True, nogil=True)
+def vertex_waste(F, m, tol, candidates):
+    """For each candidate, how many triangles its star and half the next ring could do without.
+
+    Where the field has no metric worth the name every vertex is worth a trial.
+    """
+    out = np.full(candidates.shape[0], math.inf)
+    if F.kind != PATCHES:
+        return out
+    waste = np.zeros(m.count[0])
+    star_waste = np.zeros(m.count[1])
+    for t in range(m.count[0]):
+        if m.tv[t, 0] >= 0:
+            waste[t] = triangle_waste(F, m, tol, t)
+            for k in range(3):
+                star_waste[m.tv[t, k]] += waste[t]
+    for i in range(candidates.shape[0]):
+        v = candidates[i]
+        n, closed = star(m, v)
+        total = star_waste[v]
+        for j in range(n if closed else n + 1):
+            total += star_waste[m.ring[0, j]]
+        out[i] = total / 3.0
+    return out
+
+
+@compiled
+def thin_out(F, m, tol):
+    """Remove every vertex whose hole can be filled without violation and without repair."""
+    removed = 0
+    for v in range(m.count[1]):
+        if (m.kind[v] == FREE or m.kind[v] == SLIDES) and remove_if_clean(F, m, tol, v):
+            removed += 1
+    return removed
+
+
+@compiled
+def _repaired(F, m, tol, q, budget):
+    """Relax what is in the queue until no triangle in the journal is violated.
+
+    Gives up when a dozen visits no longer lower the excess by a tenth, or the budget is spent.
+    """
+    excess = touched_excess(m)
+    spent = 0
+    while excess > 0.0:
+        if spent >= budget or q.state[1] == 0:
+            return False
+        spent += relax(F, m, tol, q, 12, 12)
+        now = touched_excess(m)
+        if now > 0.9 * excess and spent > 24:
+            return False
+        excess = now
+    return True
+
+
+@compiled
+def removal_round(F, m, tol, q, candidates, budget, goal, stamp, number):
+    """Try to remove each candidate with repair; returns (removed, tried)."""
+    removed = tried = 0
+    for i in range(candidates.shape[0]):
+        v = candidates[i]
+        if (m.kind[v] != FREE and m.kind[v] != SLIDES) or not room_left(m):
+            continue
+        n, closed = star(m, v)
+        count = n if closed else n + 1
+        for j in range(count):
+            m.ring[3, j] = m.ring[0, j]
+        begin(m)
+        tried += 1
+        if remove_vertex(F, m, tol, v, goal) < 0.0:
+            rollback(m)
+            continue
+        clear(q)
+        for j in range(count):
+            push(q, m.ring[3, j])
+        if _repaired(F, m, tol, q, budget):
+            for j in range(m.count[4]):
+                t = m.log_ti[j, 0]
+                if m.tv[t, 0] >= 0:
+                    for k in range(3):
+                        stamp[m.tv[t, k]] = number
+            commit(m)
+            removed += 1
+        else:
+            rollback(m)
+    return removed, tried
