@@ -1,0 +1,25 @@
+"""equimesh: the mesh with the fewest triangles that represents a surface to within a tolerance."""
+
+from __future__ import annotations
+
+from equimesh.errors import Cancelled, InputError
+from equimesh.fields import Field, Function, Raster, Surface, as_field
+from equimesh.profile import Profile, profile
+from equimesh.remesh import remesh
+from equimesh.result import Boundary, Result, Status
+
+__all__ = [
+    "Boundary",
+    "Cancelled",
+    "Field",
+    "Function",
+    "InputError",
+    "Profile",
+    "Raster",
+    "Result",
+    "Status",
+    "Surface",
+    "as_field",
+    "profile",
+    "remesh",
+]

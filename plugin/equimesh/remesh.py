@@ -1,0 +1,242 @@
+"""The whole method: field and domain, first mesh, optimisation, certificate."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+import shapely
+
+from equimesh.domain import DomainLike, domain_geometry, sides_of
+from equimesh.errors import Cancelled, InputError
+from equimesh.fields import Field, Source, as_field
+from equimesh.first_mesh import first_mesh
+from equimesh.metric import lower_bound
+from equimesh.optimise.driver import EFFORTS, optimise, repair
+from equimesh.optimise.mesh import Mesh
+from equimesh.outcome import user_mesh
+from equimesh.profile import profile_of
+from equimesh.result import Result, Status
+
+__all__ = ["Effort", "Fit", "Progress", "remesh"]
+
+Progress: TypeAlias = Callable[[str, float], Any]
+Fit: TypeAlias = Literal["interpolate", "best"]
+Effort: TypeAlias = Literal["fast", "balanced", "best"]
+
+# The optimiser's own errors are a little below the certificate's bound; it aims this much lower.
+_AIM = 0.997
+_REPAIRS = 8
+
+
+@dataclass
+class _Stages:
+    """Tells progress and keeps the time of each stage."""
+
+    progress: Progress | None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Callable[[float], None]]:
+        start = time.perf_counter()
+
+        def report(fraction: float) -> None:
+            if self.progress is not None and self.progress(name, fraction) is False:
+                raise Cancelled("Cancelled by the caller.")
+
+        report(0.0)
+        yield report
+        report(1.0)
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def remesh(
+    source: Source,
+    tol: float | str | None = None,
+    domain: DomainLike = None,
+    *,
+    target: int | None = None,
+    fit: Fit = "interpolate",
+    effort: Effort = "balanced",
+    seed: int = 0,
+    progress: Progress | None = None,
+    constraints: Sequence[Any] = (),
+) -> Result:
+    """The mesh with few triangles that represents a surface to within a tolerance.
+
+    Parameters
+    ----------
+    source
+        A vectorised callable ``f(x, y)``, an expression in x and y, a 2-D array of heights (rows
+        are y) or a field.
+    tol
+        Largest vertical distance between surface and mesh: a number in units of z or a share of the
+        range of z such as ``"1%"``.
+    domain
+        ``(xmin, ymin, xmax, ymax)`` or a shapely polygon with holes; rasters and triangle surfaces
+        have an outline of their own, which a domain cuts.
+    target
+        A number of triangles instead of ``tol``: the smallest tolerance that it reaches.
+    fit
+        ``"interpolate"``: vertices lie on the surface.
+    effort
+        ``"fast"``, ``"balanced"`` or ``"best"``: time against triangles.
+    seed
+        Same input and seed give the same bytes.
+    progress
+        Called as ``progress(stage, fraction)``; returning False cancels (``Cancelled`` is raised).
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    InputError
+        The input cannot be meshed; the message says what to do.
+
+    Examples
+    --------
+    >>> result = remesh("x*y", tol=0.01, domain=(0, 0, 1, 1))
+    >>> result.status.ok, result.profile.bound <= 0.01
+    (True, True)
+    """
+    _check_options(tol, target, fit, effort, seed, constraints)
+    if target is not None:
+        from equimesh.target import remesh_to_target
+
+        return remesh_to_target(
+            source, int(target), domain, effort=effort, seed=seed, progress=progress
+        )
+    assert tol is not None
+    stages = _Stages(progress)
+    with stages.stage("field"):
+        geometry = None if domain is None else domain_geometry(domain)
+        surface = as_field(source, geometry)
+        whole = geometry if geometry is not None else surface.outline(0.0)
+        height = tolerance(tol, surface, whole)
+        covered = _covered(surface, geometry, height)
+        kernel = surface.kernel(covered, height)
+        frame = surface.frame(covered)
+    with stages.stage("seed"):
+        start = first_mesh(surface, kernel, sides_of(covered), frame, _AIM * height)
+    with stages.stage("optimise") as report:
+        mesh, _ = optimise(kernel, start.mesh, _AIM * height, effort, report)
+    with stages.stage("certify"):
+        points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface)
+        profile = profile_of(surface, points, triangles, height)
+    for _ in range(_REPAIRS):
+        bad = np.flatnonzero(profile.bounds > height)
+        if len(bad) == 0:
+            break
+        with stages.stage("optimise"):
+            mesh = repair(kernel, mesh, _AIM * height, slots[bad])
+        with stages.stage("certify"):
+            points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface)
+            profile = profile_of(surface, points, triangles, height)
+    bound = math.nan
+    if surface.smooth:
+        bound = _lower_bound(surface, kernel, mesh, height)
+    return Result(
+        points=points,
+        triangles=triangles,
+        boundary=boundary,
+        profile=profile,
+        tol=height,
+        lower_bound=bound,
+        status=Status.CONVERGED if profile.bound <= height else Status.NOT_CONVERGED,
+        seed=seed,
+        input_size=surface.size,
+        timings=stages.seconds,
+        notes=tuple(getattr(surface, "notes", ())),
+    )
+
+
+def _check_options(
+    tol: float | str | None,
+    target: int | None,
+    fit: str,
+    effort: str,
+    seed: int,
+    constraints: Sequence[Any],
+) -> None:
+    if (tol is None) == (target is None):
+        raise InputError("Give either tol= or target=, one of the two.")
+    if target is not None and int(target) < 2:
+        raise InputError(f"The target is {target} triangles: give 2 or more.")
+    if effort not in EFFORTS:
+        raise InputError(f"The effort {effort!r} is unknown: choose fast, balanced or best.")
+    if fit == "best":
+        raise InputError("fit='best' is not offered yet: use fit='interpolate'.")
+    if fit != "interpolate":
+        raise InputError(f"The fit {fit!r} is unknown: use interpolate.")
+    if len(constraints):
+        raise InputError("Constraint lines are not offered yet: leave constraints= empty.")
+    if isinstance(seed, bool) or int(seed) != seed or seed < 0:
+        raise InputError(f"The seed is {seed!r}: give an integer of 0 or more.")
+
+
+def tolerance(tol: float | str, surface: Field, domain: shapely.Geometry) -> float:
+    """The tolerance in units of z, from a number or a text such as ``"1%"`` of the range of z."""
+    share = None
+    text = tol
+    if isinstance(text, str):
+        stripped = text.strip()
+        if stripped.endswith("%"):
+            share, stripped = 0.01, stripped[:-1]
+        try:
+            value = float(stripped)
+        except ValueError:
+            raise InputError(
+                f"The tolerance {tol!r} is no number: give one such as 0.01 or 1%."
+            ) from None
+    else:
+        try:
+            value = float(tol)
+        except (TypeError, ValueError):
+            raise InputError(
+                f"The tolerance {tol!r} is no number: give one such as 0.01 or '1%'."
+            ) from None
+    if not (math.isfinite(value) and value > 0.0):
+        raise InputError(f"The tolerance is {tol}: it must be a positive, finite number.")
+    low, high = surface.span(domain)
+    rounding = 1e-12 * max(abs(low), abs(high))
+    height = value if share is None else max(value * share * (high - low), rounding, 1e-300)
+    if height < rounding:
+        raise InputError(
+            f"The tolerance {height:.3g} is below the rounding of heights near {high:.3g}: "
+            "raise it."
+        )
+    return height
+
+
+def _covered(surface: Field, geometry: shapely.Geometry | None, height: float) -> shapely.Geometry:
+    """The part of the plane that the mesh will cover."""
+    if surface.size == "function":
+        if geometry is None:
+            surface.outline(height)
+        assert geometry is not None
+        return geometry
+    outline = surface.outline(height)
+    if geometry is None:
+        return outline
+    both = shapely.intersection(outline, geometry)
+    parts = [p for p in shapely.get_parts(both) if p.geom_type == "Polygon" and p.area > 0.0]
+    if not parts:
+        raise InputError(
+            "The domain does not meet the surface: give one that overlaps its outline."
+        )
+    return domain_geometry(parts[0] if len(parts) == 1 else shapely.MultiPolygon(parts))
+
+
+def _lower_bound(surface: Field, kernel: Any, mesh: Mesh, height: float) -> float:
+    live = mesh.tv[:, 0] >= 0
+    plane = np.stack([mesh.x, mesh.y], 1)
+    if surface.size == "function":
+        return lower_bound(kernel, plane, mesh.tv[live].astype(np.int64), height)
+    return math.nan
