@@ -88,7 +88,7 @@ def _side_nodes(f, child, coef, ax, ay, bx, by, eight_tol, floor, spacing, out):
 
 
 def boundary_nodes(
-    field: KernelField, sides: Sides, tol: float, floor: float, spacing: float = 1.0
+    field: KernelField, sides: Sides, tol: float, floor: float, spacing: float = 1.06
 ) -> BoundaryNodes:
     """Equidistribute nodes on every side (local coordinates).
 

@@ -127,8 +127,9 @@ def _gauge(e1x, e1y, e2x, e2y, eps, w, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest(tree, link, box, px, py, x, y, w, radius, skip_from):
-    """Smallest metric distance from (x, y) to a point within ``radius``, or ``radius``; and who."""
+def nearest(tree, link, box, px, py, x, y, w, radius, first):
+    """Smallest metric distance, at most ``radius``, from (x, y) to a point from ``first`` on; and
+    who."""
     det = w[0] * w[3] - w[1] * w[2]
     reach_x = radius * math.hypot(w[0], w[1])
     reach_y = radius * math.hypot(w[2], w[3])
@@ -154,7 +155,7 @@ def nearest(tree, link, box, px, py, x, y, w, radius, skip_from):
             continue
         point = tree[node, 4]
         while point >= 0:
-            if point < skip_from:
+            if point >= first:
                 dx, dy = px[point] - x, py[point] - y
                 if abs(dx) <= reach_x and abs(dy) <= reach_y:
                     u = (w[3] * dx - w[1] * dy) / det
@@ -234,7 +235,7 @@ def grow(
             continue
         e1x, e1y, e2x, e2y, eps, _ = frame_at(f, child, coef, x, y, eight_tol, floor)
         out[0], out[1], out[2], out[3] = e1x, e2x, e1y, e2y
-        if nearest(tree, link, box, px, py, x, y, out, 0.95, count)[1] >= 0:
+        if nearest(tree, link, box, px, py, x, y, out, 0.95, boundary)[1] >= 0:
             continue
         if _near_boundary(tree, link, box, px, py, boundary, following, x, y, out, gap):
             continue
@@ -302,7 +303,7 @@ def grow(
                     continue
                 _gauge(e1x, e1y, e2x, e2y, eps, step[2:6], out)
                 limit = merge * (_EDGE_CONVEX if eps > 0 else 1.0)
-                if nearest(tree, link, box, px, py, nx, ny, out, limit, count)[1] >= 0:
+                if nearest(tree, link, box, px, py, nx, ny, out, limit, boundary)[1] >= 0:
                     continue
                 if _near_boundary(tree, link, box, px, py, boundary, following, nx, ny, out, gap):
                     continue

@@ -15,7 +15,7 @@ __all__ = ["lattice_points"]
 
 # A lattice vertex nearer to the boundary than this (lattice spacings) is left to the boundary's
 # own.
-_GAP = 0.3
+_GAP = 0.2
 # Two vertices of fronts that meet closer than this are one.
 _MERGE = 0.65
 

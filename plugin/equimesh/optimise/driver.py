@@ -43,7 +43,7 @@ class Effort:
     visits: int
 
 
-EFFORTS = {"fast": Effort(1, 30), "balanced": Effort(4, 80), "best": Effort(12, 240)}
+EFFORTS = {"fast": Effort(1, 48), "balanced": Effort(6, 120), "best": Effort(20, 600)}
 
 
 def optimise(

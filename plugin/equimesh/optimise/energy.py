@@ -1,14 +1,17 @@
 """What the optimiser lowers: how far the errors of edges and insides exceed the tolerance.
 
-The hinge ``max(0, e - 0.985)`` leaves settled triangles alone. It is linear, and each violation
+The hinge ``h = max(0, e - 0.985)`` leaves settled triangles alone. It is linear, and each violation
 costs a step besides: a convex power would trade a few large violations for many slight ones and
-spread them over a settled interior. A small power keeps an order where nothing is violated.
+spread them over a settled interior. Where a change is tried and undone if it fails, that spreading
+is wanted, and the price is h^2 (``SPREAD``). A small power keeps an order where nothing is
+violated.
 """
 
 from __future__ import annotations
 
 from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import edge_error, inner_error
+from equimesh.optimise.mesh import SPREAD
 from equimesh.optimise.topology import note_triangle
 
 __all__ = ["HINGE", "evaluate_all", "evaluate_triangle", "penalty", "set_edge", "set_inner"]
@@ -18,14 +21,16 @@ _CEILING = 1e3  # beyond it, more is not worse: keeps sums finite
 
 
 @compiled
-def penalty(e):
-    """Price of an error e (in units of the tolerance, signed)."""
+def penalty(m, e):
+    """Price of an error e (in units of the tolerance, signed), in the mesh's present manner."""
     e = min(abs(e), _CEILING)
     over = e - HINGE
     e2 = e * e
     small = 1e-4 * e2 * e2 if e < 1.0 else 1e-4 * e2
     if over <= 0.0:
         return small
+    if m.count[SPREAD] == 1:
+        return small + 20.0 * over * over
     return small + over + (0.05 if e > 1.0 else 0.0)
 
 

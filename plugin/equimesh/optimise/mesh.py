@@ -27,7 +27,8 @@ FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
     LOST_T,
     LOST_V,
     EPOCH,
-) = range(10)
+    SPREAD,
+) = range(11)
 
 
 class Mesh(NamedTuple):
@@ -103,7 +104,7 @@ def build(
         wall[:m] = (kept[found] == low * n + high).reshape(m, 3)
     v2t = np.full(nv, -1, np.int64)
     v2t[triangles.ravel()] = np.repeat(np.arange(m, dtype=np.int64), 3)
-    count = np.zeros(10, np.int64)
+    count = np.zeros(11, np.int64)
     count[TRIANGLES], count[VERTICES] = m, n
     log = 20_000
     return Mesh(

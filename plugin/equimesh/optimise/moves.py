@@ -25,7 +25,7 @@ def try_flip(F, m, tol, t, k):
     u = m.tn[t, k]
     if u < 0 or m.wall[t, k] == 1:
         return False
-    before = penalty(m.ee[t, k]) + penalty(m.ie[t]) + penalty(m.ie[u])
+    before = penalty(m, m.ee[t, k]) + penalty(m, m.ie[t]) + penalty(m, m.ie[u])
     if before < 1e-5:
         return False
     b = m.tv[t, (k + 1) % 3]
@@ -39,15 +39,15 @@ def try_flip(F, m, tol, t, k):
         return False
     goal = before * 0.999 - 1e-9
     e, s = edge_of(F, m, tol, d, c)
-    after = penalty(e)
+    after = penalty(m, e)
     if after >= goal:
         return False
     e1, x1, y1 = inner_of(F, m, tol, c, a, d)
-    after += penalty(e1)
+    after += penalty(m, e1)
     if after >= goal:
         return False
     e2, x2, y2 = inner_of(F, m, tol, d, b, c)
-    after += penalty(e2)
+    after += penalty(m, e2)
     if after >= goal:
         return False
     u = flip(m, t, k)
@@ -64,10 +64,10 @@ def star_energy(m, n, closed):
     total = 0.0
     for i in range(n):
         t, k = m.ring[1, i], m.ring[2, i]
-        total += penalty(m.ee[t, k]) + penalty(m.ie[t])
+        total += penalty(m, m.ee[t, k]) + penalty(m, m.ie[t])
     if not closed:
         t, k = m.ring[1, n - 1], m.ring[2, n - 1]
-        total += penalty(m.ee[t, (k + 2) % 3])
+        total += penalty(m, m.ee[t, (k + 2) % 3])
     return total
 
 
@@ -85,13 +85,13 @@ def _trial(F, m, tol, v, n, closed, goal):
     for i in range(spokes):
         e, s = edge_of(F, m, tol, v, m.ring[0, i])
         m.work[0, i], m.work[1, i] = e, s
-        total += penalty(e)
+        total += penalty(m, e)
         if total >= goal:
             return total
     for i in range(n):
         e, x, y = inner_of(F, m, tol, v, m.ring[0, i], m.ring[0, (i + 1) % spokes])
         m.work[2, i], m.work[3, i], m.work[4, i] = e, x, y
-        total += penalty(e)
+        total += penalty(m, e)
         if total >= goal:
             return total
     return total

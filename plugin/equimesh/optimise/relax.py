@@ -84,11 +84,11 @@ def _flip_around(F, m, tol, v):
         done = True
         for i in range(n):
             t, k = m.ring[1, i], m.ring[2, i]
-            if penalty(m.ee[t, k]) + penalty(m.ie[t]) > _IDLE and try_flip(F, m, tol, t, k):
+            if penalty(m, m.ee[t, k]) + penalty(m, m.ie[t]) > _IDLE and try_flip(F, m, tol, t, k):
                 done = False
                 break
             k1 = (k + 1) % 3
-            if penalty(m.ee[t, k1]) + penalty(m.ie[t]) > _IDLE and try_flip(F, m, tol, t, k1):
+            if penalty(m, m.ee[t, k1]) + penalty(m, m.ie[t]) > _IDLE and try_flip(F, m, tol, t, k1):
                 done = False
                 break
         if done:

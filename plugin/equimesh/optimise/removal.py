@@ -70,7 +70,7 @@ def remove_vertex(F, m, tol, v, goal):
             j = i + span
             own = 0.0
             if not (closed and i == 0 and j == size - 1):
-                own = penalty(edge_e[i, j])
+                own = penalty(m, edge_e[i, j])
             best = math.inf
             if own < goal:
                 for k in range(i + 1, j):
@@ -81,7 +81,7 @@ def remove_vertex(F, m, tol, v, goal):
                     if not positive(m.x[a], m.y[a], m.x[b], m.y[b], m.x[c], m.y[c]):
                         continue
                     e, _, _ = inner_of(F, m, tol, a, b, c)
-                    below += penalty(e)
+                    below += penalty(m, e)
                     if below < best:
                         best = below
                         apex[i, j] = k
@@ -148,7 +148,7 @@ def _sew(m, t, k, outer, wall, outer_e, outer_p, i):
 
 @compiled
 def touched_excess(m):
-    """By how much the live triangles in the journal exceed the tolerance, summed; 0: none does."""
+    """Squares of how much the live triangles in the journal exceed the tolerance; 0: none does."""
     m.count[EPOCH] += 1
     epoch = m.count[EPOCH]
     total = 0.0
@@ -158,7 +158,7 @@ def touched_excess(m):
             m.mark[t] = epoch
             e = worst_of(m, t)
             if e > 1.0:
-                total += e - 1.0
+                total += (e - 1.0) ** 2
     return total
 
 

@@ -12,7 +12,7 @@ from equimesh.fields.kernel import PATCHES
 from equimesh.fields.patch_kernels import derivatives2
 from equimesh.optimise.energy import penalty, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
-from equimesh.optimise.mesh import FREE, SLIDES
+from equimesh.optimise.mesh import FREE, SLIDES, SPREAD
 from equimesh.optimise.moves import try_flip
 from equimesh.optimise.relax import clear, push, push_violated, relax
 from equimesh.optimise.removal import remove_if_clean, remove_vertex, touched_excess
@@ -43,7 +43,9 @@ def flip_all(F, m, tol, passes):
             if m.tv[t, 0] < 0:
                 continue
             for k in range(3):
-                if penalty(m.ee[t, k]) + penalty(m.ie[t]) > 1e-3 and try_flip(F, m, tol, t, k):
+                if penalty(m, m.ee[t, k]) + penalty(m, m.ie[t]) > 1e-3 and try_flip(
+                    F, m, tol, t, k
+                ):
                     made += 1
         total += made
         if made == 0:
@@ -199,14 +201,15 @@ def thin_out(F, m, tol):
 def _repaired(F, m, tol, q, budget):
     """Relax what is in the queue until no triangle in the journal is violated.
 
-    Gives up when a dozen visits no longer lower the excess by a tenth, or the budget is spent.
+    Here violations are to spread: only then does slack some triangles away come into play. Gives up
+    when two dozen visits no longer lower the squared excess by a tenth, or the budget is spent.
     """
     excess = touched_excess(m)
     spent = 0
     while excess > 0.0:
         if spent >= budget or q.state[1] == 0:
             return False
-        spent += relax(F, m, tol, q, 12, 12)
+        spent += relax(F, m, tol, q, 24, 40)
         now = touched_excess(m)
         if now > 0.9 * excess and spent > 24:
             return False
@@ -234,7 +237,10 @@ def removal_round(F, m, tol, q, candidates, budget, goal, stamp, number):
         clear(q)
         for j in range(count):
             push(q, m.ring[3, j])
-        if _repaired(F, m, tol, q, budget):
+        m.count[SPREAD] = 1
+        repaired = _repaired(F, m, tol, q, budget)
+        m.count[SPREAD] = 0
+        if repaired:
             for j in range(m.count[4]):
                 t = m.log_ti[j, 0]
                 if m.tv[t, 0] >= 0:
