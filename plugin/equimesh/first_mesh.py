@@ -12,7 +12,7 @@ from equimesh.domain import Sides
 from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.frame import Frame
-from equimesh.metric import lower_bound
+from equimesh.metric import lattice_size
 from equimesh.optimise.mesh import FIXED, FREE, SLIDES, Mesh, build
 from equimesh.seeding import lattice_points
 from equimesh.triangulation import constrained_delaunay
@@ -45,18 +45,15 @@ def first_mesh(
     segments = np.hstack([local.corners, local.corners[local.following]])
     points, edges, side, corner_of = _corners_only(local)
     inner = np.empty((0, 2))
-    if kernel.kind == PATCHES:
+    if kernel.kind == PATCHES and not _coarse_is_enough(surface, sides, tol):
         coarse = constrained_delaunay(points, edges)
-        expected = lower_bound(kernel, points, coarse, tol)
         extent = float(np.ptp(local.corners, axis=0).max())
         floor = 1.0 / extent**2
-        if expected > 4.0:
-            nodes = boundary_nodes(kernel, local, tol, floor)
-            inner = lattice_points(kernel, local, nodes, _LATTICE * tol, floor, int(expected) + 10)
-            corner = np.where(nodes.corner, nodes.side, -1)
-            points, edges, side, corner_of = _merged(
-                nodes.points, nodes.following, nodes.side, corner
-            )
+        expected = lattice_size(kernel, points, coarse, tol, floor)
+        nodes = boundary_nodes(kernel, local, tol, floor)
+        inner = lattice_points(kernel, local, nodes, _LATTICE * tol, floor, int(expected) + 10)
+        corner = np.where(nodes.corner, nodes.side, -1)
+        points, edges, side, corner_of = _merged(nodes.points, nodes.following, nodes.side, corner)
     every = np.vstack([points, inner])
     triangles = constrained_delaunay(every, edges)
     kind = np.full(len(every), FREE, np.int8)
@@ -69,6 +66,15 @@ def first_mesh(
     z = surface.value(user[:, 0], user[:, 1])
     mesh = build(np.column_stack([every, z]), triangles, kind, side_of, segments)
     return FirstMesh(mesh, sides, corner_of)
+
+
+def _coarse_is_enough(surface: Field, sides: Sides, tol: float) -> bool:
+    """Whether the domain's corners alone make a mesh within the tolerance."""
+    points, edges, _, _ = _corners_only(sides)
+    triangles = constrained_delaunay(points, edges)
+    z = surface.value(points[:, 0], points[:, 1])
+    _, bounds = surface.errors(np.column_stack([points, z]), triangles, tol)
+    return bool((bounds <= tol).all())
 
 
 def _handed(sides: Sides, frame: Frame) -> Sides:

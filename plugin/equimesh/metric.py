@@ -25,6 +25,7 @@ __all__ = [
     "AREA_SADDLE",
     "BOOST_PERIOD",
     "frame_at",
+    "lattice_size",
     "lower_bound",
     "lower_bound_of",
 ]
@@ -111,7 +112,8 @@ def lower_bound_of(hessian: NDArray[np.float64], areas: NDArray[np.float64], tol
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _patch_bound(frame, child, coef, points, triangles, depth, tol):
+def _integral(frame, child, coef, points, triangles, depth, tol, floor):
+    """Lattice triangles over the domain: of H alone (``floor`` = 0), or of the limited metric."""
     total = 0.0
     n = 2**depth
     for t in range(triangles.shape[0]):
@@ -128,8 +130,16 @@ def _patch_bound(frame, child, coef, points, triangles, depth, tol):
                     v = (j + (1.0 + half) / 3.0) / n
                     px = points[a, 0] + u * ux + v * vx
                     py = points[a, 1] + u * uy + v * vy
-                    hxx, hxy, hyy, _, _, _, _ = derivatives3(frame, child, coef, px, py)
-                    total += area * _density(hxx, hxy, hyy, tol)
+                    if floor > 0.0:
+                        e1x, e1y, e2x, e2y, eps, _ = frame_at(
+                            frame, child, coef, px, py, 8.0 * tol, floor
+                        )
+                        constant = AREA_CONVEX if eps > 0 else AREA_SADDLE
+                        # dy/dx has the determinant 1 / det W, in units of 8 tol for H
+                        total += area * 4.0 / (constant * abs(e1x * e2y - e2x * e1y))
+                    else:
+                        hxx, hxy, hyy, _, _, _, _ = derivatives3(frame, child, coef, px, py)
+                        total += area * _density(hxx, hxy, hyy, tol)
     return total
 
 
@@ -143,6 +153,29 @@ def lower_bound(
 
     The triangles are subdivided until about 100,000 quadrature points lie in the domain.
     """
+    return _integrated(field, points, triangles, tol, 0.0)
+
+
+def lattice_size(
+    field: KernelField,
+    points: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    tol: float,
+    floor: float,
+) -> float:
+    """About how many triangles a lattice in the limited metric of ``frame_at`` has."""
+    return _integrated(field, points, triangles, tol, floor)
+
+
+def _integrated(
+    field: KernelField,
+    points: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    tol: float,
+    floor: float,
+) -> float:
     depth = max(0, math.ceil(0.5 * math.log2(1e5 / max(len(triangles), 1))))
     plane = np.ascontiguousarray(points[:, :2])
-    return float(_patch_bound(field.frame, field.child, field.coef, plane, triangles, depth, tol))
+    return float(
+        _integral(field.frame, field.child, field.coef, plane, triangles, depth, tol, floor)
+    )

@@ -18,6 +18,7 @@ from equimesh.optimise.sweep import (
     insert_round,
     relax_all,
     removal_round,
+    split_borders,
     split_listed,
     thin_out,
     vertex_waste,
@@ -57,6 +58,7 @@ def optimise(
     evaluate_all(field, mesh, tol)
     if field.kind == PATCHES:
         queue = make_queue(len(mesh.x))
+        split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         relax_all(field, mesh, tol, queue, 40)
         report(0.3)

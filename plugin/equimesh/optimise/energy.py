@@ -14,7 +14,14 @@ from equimesh.fields.dispatch import edge_error, inner_error
 from equimesh.optimise.mesh import SPREAD
 from equimesh.optimise.topology import note_triangle
 
-__all__ = ["HINGE", "evaluate_all", "evaluate_triangle", "penalty", "set_edge", "set_inner"]
+__all__ = [
+    "HINGE",
+    "evaluate_all",
+    "evaluate_triangle",
+    "penalty",
+    "set_edge",
+    "set_inner",
+]
 
 HINGE = 0.985
 _CEILING = 1e3  # beyond it, more is not worse: keeps sums finite
@@ -45,7 +52,17 @@ def edge_of(F, m, tol, a, b):
 def inner_of(F, m, tol, a, b, c):
     """(signed error / tol, x, y) inside the triangle a, b, c."""
     e, x, y = inner_error(
-        F, m.x[a], m.y[a], m.z[a], m.x[b], m.y[b], m.z[b], m.x[c], m.y[c], m.z[c], 1e3 * tol
+        F,
+        m.x[a],
+        m.y[a],
+        m.z[a],
+        m.x[b],
+        m.y[b],
+        m.z[b],
+        m.x[c],
+        m.y[c],
+        m.z[c],
+        1e3 * tol,
     )
     return e / tol, x, y
 

@@ -12,7 +12,7 @@ from equimesh.fields.compiled import compiled
 from equimesh.fields.kernel import RASTER
 from equimesh.optimise.energy import edge_of, set_edge, set_inner, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
-from equimesh.optimise.topology import flip, positive, star
+from equimesh.optimise.topology import ample, flip, star
 
 __all__ = ["refine"]
 
@@ -70,7 +70,7 @@ def _not_delaunay(m, t, k):
     r = a2 * (bx * cy - cx * by)
     if p - q + r <= 1e-10 * (abs(p) + abs(q) + abs(r)):
         return False
-    return positive(m.x[c], m.y[c], m.x[a], m.y[a], m.x[d], m.y[d]) and positive(
+    return ample(m.x[c], m.y[c], m.x[a], m.y[a], m.x[d], m.y[d]) and ample(
         m.x[d], m.y[d], m.x[b], m.y[b], m.x[c], m.y[c]
     )
 

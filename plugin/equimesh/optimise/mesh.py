@@ -90,7 +90,10 @@ def build(
     kinds[:n], side_of[:n] = kind, side
     tv, tn = np.full((nt, 3), -1, np.int64), np.full((nt, 3), -1, np.int64)
     tv[:m] = triangles
-    start, end = triangles.ravel().astype(np.int64), np.roll(triangles, -1, axis=1).ravel()
+    start, end = (
+        triangles.ravel().astype(np.int64),
+        np.roll(triangles, -1, axis=1).ravel(),
+    )
     key, back = start * n + end, end.astype(np.int64) * n + start
     order = np.argsort(key, kind="stable")
     place = np.minimum(np.searchsorted(key[order], back), 3 * m - 1)

@@ -14,7 +14,7 @@ from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import gradient, value
 from equimesh.optimise.energy import HINGE, edge_of, inner_of, penalty
 from equimesh.optimise.mesh import FIXED, SLIDES
-from equimesh.optimise.topology import flip, note_triangle, note_vertex, positive, star
+from equimesh.optimise.topology import ample, flip, note_triangle, note_vertex, star
 
 __all__ = ["move_vertex", "star_energy", "try_flip"]
 
@@ -33,9 +33,9 @@ def try_flip(F, m, tol, t, k):
     while not (m.tn[u, j] == t and m.tv[u, j] == b):
         j += 1
     a, c, d = m.tv[t, k], m.tv[t, (k + 2) % 3], m.tv[u, (j + 2) % 3]
-    if not positive(m.x[c], m.y[c], m.x[a], m.y[a], m.x[d], m.y[d]):
+    if not ample(m.x[c], m.y[c], m.x[a], m.y[a], m.x[d], m.y[d]):
         return False
-    if not positive(m.x[d], m.y[d], m.x[b], m.y[b], m.x[c], m.y[c]):
+    if not ample(m.x[d], m.y[d], m.x[b], m.y[b], m.x[c], m.y[c]):
         return False
     goal = before * 0.999 - 1e-9
     e, s = edge_of(F, m, tol, d, c)
@@ -79,7 +79,7 @@ def _trial(F, m, tol, v, n, closed, goal):
     for i in range(n):
         p = m.ring[0, i]
         q = m.ring[0, (i + 1) % spokes]
-        if not positive(vx, vy, m.x[p], m.y[p], m.x[q], m.y[q]):
+        if not ample(vx, vy, m.x[p], m.y[p], m.x[q], m.y[q]):
             return math.inf
     total = 0.0
     for i in range(spokes):

@@ -8,6 +8,7 @@ from equimesh.fields.compiled import compiled
 from equimesh.optimise.energy import edge_of, inner_of, penalty, set_inner, worst_of
 from equimesh.optimise.mesh import EPOCH, FREE, LOG_T, SLIDES
 from equimesh.optimise.topology import (
+    ample,
     begin,
     commit,
     drop_triangle,
@@ -15,7 +16,6 @@ from equimesh.optimise.topology import (
     new_triangle,
     note_triangle,
     note_vertex,
-    positive,
     rollback,
     room_left,
     star,
@@ -78,7 +78,7 @@ def remove_vertex(F, m, tol, v, goal):
                     if below >= best or below >= goal:
                         continue
                     a, b, c = ring[i], ring[k], ring[j]
-                    if not positive(m.x[a], m.y[a], m.x[b], m.y[b], m.x[c], m.y[c]):
+                    if not ample(m.x[a], m.y[a], m.x[b], m.y[b], m.x[c], m.y[c]):
                         continue
                     e, _, _ = inner_of(F, m, tol, a, b, c)
                     below += penalty(m, e)
@@ -96,7 +96,12 @@ def remove_vertex(F, m, tol, v, goal):
     top = 1
     while top > 0:
         top -= 1
-        i, j, parent, parent_edge = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
+        i, j, parent, parent_edge = (
+            stack[top, 0],
+            stack[top, 1],
+            stack[top, 2],
+            stack[top, 3],
+        )
         k = apex[i, j]
         t = new_triangle(m)
         m.tv[t, 0], m.tv[t, 1], m.tv[t, 2] = ring[i], ring[k], ring[j]

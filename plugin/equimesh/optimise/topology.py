@@ -17,21 +17,34 @@ from equimesh.optimise.mesh import (
 )
 
 __all__ = [
+    "ample",
     "begin", "commit", "drop_triangle", "drop_vertex", "flip", "new_triangle", "new_vertex",
     "note_triangle", "note_vertex", "positive", "rollback", "room_left", "star",
 ]  # fmt: skip
 
-# A triangle counts as positive only beyond this multiple of the rounding of its own products, so
-# that it stays positive in the user's coordinates; what is in doubt is refused.
-_CERTAIN = 1e-11
+# Twice the area of a triangle over the squares of its edges. A split may make the thinnest triangles
+# that stay positive when coordinates are rounded; other changes keep a distance from that, so that
+# every triangle they leave can be split.
+_THINNEST = 1e-12
+_AMPLE = 1e-9
+
+
+@compiled
+def _turn(ax, ay, bx, by, cx, cy, share):
+    ux, uy, vx, vy = bx - ax, by - ay, cx - ax, cy - ay
+    return ux * vy - uy * vx > share * (ux * ux + uy * uy + vx * vx + vy * vy)
 
 
 @compiled
 def positive(ax, ay, bx, by, cx, cy):
     """Whether a, b, c turn left beyond doubt."""
-    left = (bx - ax) * (cy - ay)
-    right = (by - ay) * (cx - ax)
-    return left - right > _CERTAIN * (abs(left) + abs(right))
+    return _turn(ax, ay, bx, by, cx, cy, _THINNEST)
+
+
+@compiled
+def ample(ax, ay, bx, by, cx, cy):
+    """Whether a, b, c turn left and could be split."""
+    return _turn(ax, ay, bx, by, cx, cy, _AMPLE)
 
 
 @compiled
