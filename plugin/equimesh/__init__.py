@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from equimesh.errors import Cancelled, InputError
 from equimesh.fields import Field, Function, Raster, Surface, as_field
+from equimesh.flat import FlatMesh, flat_mesh
+from equimesh.flatness import Flatness, flatness
 from equimesh.profile import Profile, profile
 from equimesh.remesh import remesh
 from equimesh.result import Boundary, Result, Status
+from equimesh.transform import FlatMap
 
 __all__ = [
     "Boundary",
     "Cancelled",
     "Field",
+    "FlatMap",
+    "FlatMesh",
+    "Flatness",
     "Function",
     "InputError",
     "Profile",
@@ -20,6 +26,8 @@ __all__ = [
     "Status",
     "Surface",
     "as_field",
+    "flat_mesh",
+    "flatness",
     "profile",
     "remesh",
 ]

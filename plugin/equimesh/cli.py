@@ -1,4 +1,4 @@
-"""The command line: ``equimesh remesh`` and ``equimesh profile``.
+"""The command line: ``equimesh remesh``, ``equimesh profile`` and ``equimesh paper``.
 
 Exit status: 0 when the tolerance is met and the files are written, 1 with one sentence on stderr
 when they are not, 2 for wrong usage.
@@ -165,6 +165,17 @@ def profile(
             written[plot_file] = lambda path: plot.save_plot(path, measured)
         _finish(written, figures, report_file)
         _show(figures, str(mesh), notes)
+
+
+@app.command()
+def paper(
+    folder: Annotated[Path, typer.Argument(metavar="OUTDIR", help="Where the page is to go.")],
+) -> None:
+    """Make the tables and figures of D'Azevedo (1991) again, as a page with pictures."""
+    with _plain_errors():
+        from equimesh.paper import reproduce
+
+        reproduce(folder)
 
 
 def main() -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from equimesh.boundary import boundary_nodes
 from equimesh.domain import Sides
+from equimesh.errors import InputError
 from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.frame import Frame
@@ -21,6 +22,7 @@ __all__ = ["FirstMesh", "first_mesh"]
 
 # Lattice triangles just below the optimiser's hinge, so that it leaves them alone.
 _LATTICE = 0.982
+_MOST = 2e7  # triangles that memory is meant to hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,11 @@ def first_mesh(
         extent = float(np.ptp(local.corners, axis=0).max())
         floor = 1.0 / extent**2
         expected = lattice_size(kernel, points, coarse, tol, floor)
+        if expected > _MOST:
+            raise InputError(
+                f"The tolerance asks for about {expected:.1e} triangles: raise it, or mesh the "
+                "domain in parts."
+            )
         nodes = boundary_nodes(kernel, local, tol, floor)
         inner = lattice_points(kernel, local, nodes, _LATTICE * tol, floor, int(expected) + 10)
         corner = np.where(nodes.corner, nodes.side, -1)

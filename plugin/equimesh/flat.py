@@ -101,14 +101,15 @@ def flat_mesh(
             "'equilateral', and 'interior' or 'full'."
         )
     flat_map = source if isinstance(source, FlatMap) else FlatMap(source, domain)
+    if flat_map.flatness.cause == "hole":
+        x, y = flat_map.flatness.where
+        raise InputError(
+            f"The transform has several values around the hole at ({x:.6g}, {y:.6g}): cut the "
+            "domain there, or use remesh."
+        )
     if not flat_map.flatness.flat:
         raise InputError(
             f"The Hessian of this function is no flat metric ({flat_map.flatness}): use remesh."
-        )
-    if flat_map.residual > 1e-4:
-        raise InputError(
-            "The transform has several values around a hole of the domain: cut the domain there, "
-            "or use remesh."
         )
     if shape == "equilateral":
         vectors = equilateral_vectors(flat_map.signature)

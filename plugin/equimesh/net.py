@@ -62,6 +62,10 @@ class Net:
         (k, 2) pairs of triangles with a common edge.
     sides
         (k, 2) which edge of each that is: edge j leads from corner j to corner j + 1.
+    tree
+        The triangles, to be searched.
+    spacing
+        Length of a typical edge.
     """
 
     polygon: shapely.Polygon
@@ -70,6 +74,7 @@ class Net:
     links: IntArray
     sides: IntArray
     tree: shapely.STRtree
+    spacing: float
 
     @classmethod
     def of(cls, polygon: shapely.Polygon, cells: int = 32) -> Net:
@@ -81,13 +86,19 @@ class Net:
         links, sides = _links(triangles)
         user = frame.to_user(points)
         tree = shapely.STRtree(shapely.polygons(user[triangles]))
-        return cls(polygon, user, triangles, links, sides, tree)
+        spacing = 2.0 / cells * float(frame.matrix[0, 0])
+        return cls(polygon, user, triangles, links, sides, tree, spacing)
 
     @property
     def size(self) -> float:
         """The longer side of the bounding box."""
+        return float(self.extent.max())
+
+    @property
+    def extent(self) -> Array:
+        """(2,) width and height of the bounding box."""
         xmin, ymin, xmax, ymax = self.polygon.bounds
-        return float(max(xmax - xmin, ymax - ymin))
+        return np.array([xmax - xmin, ymax - ymin])
 
     @cached_property
     def anchors(self) -> Array:

@@ -126,11 +126,11 @@ def remesh(
     with stages.stage("seed"):
         start = first_mesh(surface, kernel, sides_of(covered), frame, _AIM * height)
     with stages.stage("optimise") as report:
-        mesh, _ = optimise(kernel, start.mesh, _AIM * height, effort, report)
+        mesh, good = optimise(kernel, start.mesh, _AIM * height, effort, report)
     with stages.stage("certify"):
         points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface)
         profile = profile_of(surface, points, triangles, height)
-    for _ in range(_REPAIRS):
+    for _ in range(_REPAIRS if good else 0):
         bad = np.flatnonzero(profile.bounds > height)
         if len(bad) == 0:
             break

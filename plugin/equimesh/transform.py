@@ -17,8 +17,10 @@ from scipy.integrate import solve_ivp
 from scipy.spatial import cKDTree
 
 from equimesh.errors import InputError
-from equimesh.flatness import Flatness, derivatives_of, flatness_over, signature_over
+from equimesh.flatness import Flatness, derivatives_of, flatness_over
+from equimesh.holonomy import frame_of
 from equimesh.net import Net, as_polygon
+from equimesh.signature import Signature, signature_over
 from equimesh.transport import Array, Derivatives, carry, christoffel, compose, invert
 
 __all__ = ["FlatMap"]
@@ -64,7 +66,14 @@ class FlatMap:
         self.given = source
         self.source: Derivatives = derivatives_of(source, self.domain)
         self._net = Net.of(self.domain)
-        self.signature: int = signature_over(self.source, self._net)
+        self._determinant: Signature = signature_over(self.source, self._net)
+        if not self._determinant.regular:
+            x, y = self._determinant.irregular
+            raise InputError(
+                f"det H changes sign, vanishes or is not finite near ({x:.6g}, {y:.6g}), where no "
+                "flat transform leads across: cut the domain there, or use remesh."
+            )
+        self.signature: int = self._determinant.sign
         if origin is None:
             middle = self.domain.centroid
             inside = middle if self.domain.contains(middle) else self.domain.representative_point()
@@ -81,19 +90,12 @@ class FlatMap:
     def start(self) -> Array:
         """(2, 2) Jacobian at the origin: the rows are the starting values (16) and (17)."""
         x, y = np.array([self.origin[0]]), np.array([self.origin[1]])
-        values, vectors = np.linalg.eigh(self.source.hessian(x, y)[0])
-        order = np.argsort(-values)
-        rows = np.sqrt(np.abs(values[order]))[:, None] * vectors[:, order].T
-        if rows[0, np.abs(rows[0]).argmax()] < 0.0:
-            rows[0] *= -1.0
-        if np.linalg.det(rows) < 0.0:
-            rows[1] *= -1.0
-        return np.asarray(rows)
+        return frame_of(self.source.hessian(x, y)[0])
 
     @cached_property
     def flatness(self) -> Flatness:
-        """Gamma of (10) over the domain and the verdict."""
-        return flatness_over(self.source, self._net)
+        """The verdict on the metric, with Gamma of (10) over the domain."""
+        return flatness_over(self.source, self._net, self._determinant)
 
     @cached_property
     def _anchored(self) -> tuple[Array, Array, float, Array]:

@@ -31,6 +31,7 @@ __all__ = [
     "compose",
     "curvature",
     "gamma",
+    "gamma_error",
     "harmonic_christoffel",
     "invert",
     "third_tensor",
@@ -81,7 +82,7 @@ def harmonic_christoffel(hessian: Array, third: Array, step: Array) -> Array:
 
 def gamma(hessian: Array, third: Array) -> Array:
     """(n,) Gamma of (10), which vanishes where a flat map exists."""
-    return np.asarray(_gamma_terms(hessian, third).sum(axis=1))
+    return np.asarray(_gamma_factors(hessian, third).prod(axis=2) @ _GAMMA_SIGNS)
 
 
 def curvature(hessian: Array, third: Array) -> tuple[Array, Array]:
@@ -90,30 +91,45 @@ def curvature(hessian: Array, third: Array) -> tuple[Array, Array]:
     The second array is the same with every term of Gamma taken positive: a curvature far below it
     is cancellation.
     """
-    terms = _gamma_terms(hessian, third)
+    terms = _gamma_factors(hessian, third).prod(axis=2)
     determinant = hessian[:, 0, 0] * hessian[:, 1, 1] - hessian[:, 0, 1] ** 2
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         scale = 0.25 / determinant**2
-        return np.abs(terms.sum(axis=1)) * scale, np.abs(terms).sum(axis=1) * scale
+        return np.abs(terms @ _GAMMA_SIGNS) * scale, np.abs(terms).sum(axis=1) * scale
 
 
-def _gamma_terms(hessian: Array, third: Array) -> Array:
-    g11, g12, g22 = hessian[:, 0, 0], hessian[:, 0, 1], hessian[:, 1, 1]
-    g111, g112, g122, g222 = third.T
-    return np.stack(
-        [
-            g11 * g122**2,
-            -g11 * g222 * g112,
-            g12 * g111 * g222,
-            -g12 * g112 * g122,
-            g22 * g112**2,
-            -g22 * g122 * g111,
-        ],
-        axis=1,
+def gamma_error(hessian: Array, third: Array, share: float) -> Array:
+    """(n,) by how much Gamma may be wrong where each derivative is wrong by a share of the largest
+    one of its kind."""
+    size = np.abs(_gamma_factors(hessian, third))
+    largest = share * size.max(axis=0, initial=0.0)
+    a, b, c = size.transpose(2, 0, 1)
+    return np.asarray(
+        (largest[:, 0] * b * c + a * largest[:, 1] * c + a * b * largest[:, 2]).sum(axis=1)
     )
 
 
-def carry(source: Derivatives, start: Array, end: Array) -> tuple[Array, Array]:
+_GAMMA_SIGNS = np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
+
+
+def _gamma_factors(hessian: Array, third: Array) -> Array:
+    """(n, 6, 3) the factors of the terms of (10), in the order in which they are printed."""
+    g11, g12, g22 = hessian[:, 0, 0], hessian[:, 0, 1], hessian[:, 1, 1]
+    g111, g112, g122, g222 = third.T
+    terms = (
+        (g11, g122, g122),
+        (g11, g222, g112),
+        (g12, g111, g222),
+        (g12, g112, g122),
+        (g22, g112, g112),
+        (g22, g122, g111),
+    )
+    return np.stack([np.stack(term, axis=1) for term in terms], axis=1)
+
+
+def carry(
+    source: Derivatives, start: Array, end: Array, strict: bool = True
+) -> tuple[Array, Array]:
     """Propagators along (n, 2) straight segments: U (n, 2, 2) and w (n, 2).
 
     Gauss-Legendre collocation of order 12, one step for each segment. Transport keeps lengths
@@ -122,12 +138,20 @@ def carry(source: Derivatives, start: Array, end: Array) -> tuple[Array, Array]:
     Raises
     ------
     InputError
-        Where the derivatives are not finite or det H vanishes on the way.
+        Where the derivatives are not finite or det H vanishes on the way. Unless ``strict``, such
+        segments have NaN instead.
     """
-    unknown = np.full(len(start), np.inf)
-    return _carry(
-        source, start, end, _hessian_at(source, start), _hessian_at(source, end), unknown, 0
-    )
+    before, after = source.hessian(*start.T), source.hessian(*end.T)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        turn, shift = _carry(source, start, end, before, after, np.full(len(start), np.inf), 0)
+    lost = ~np.isfinite(turn).all(axis=(1, 2))
+    if strict and lost.any():
+        x, y = start[np.argmax(lost)]
+        raise InputError(
+            f"The transform cannot be integrated near ({x:.6g}, {y:.6g}), where det H vanishes or "
+            "the function is not smooth: choose a domain away from it."
+        )
+    return turn, shift
 
 
 def compose(first: tuple[Array, Array], second: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -155,25 +179,26 @@ def _carry(
     settled = max(_TOLERANCE, 1e-4 * float(getattr(source, "accuracy", 0.0)))
     turn, shift = _step(source, start, end)
     carried = turn.transpose(0, 2, 1) @ before @ turn
-    with np.errstate(invalid="ignore", over="ignore"):
-        defect = np.abs(carried - after).max(axis=(1, 2)) / np.abs(after).max(axis=(1, 2))
-        # Where halving stops to help it has met the rounding of the derivatives themselves.
-        good = (defect <= settled) | ((defect <= _COARSE) & (defect > 0.1 * parent))
+    defect = np.abs(carried - after).max(axis=(1, 2)) / np.abs(after).max(axis=(1, 2))
+    # Where halving stops to help it has met the rounding of the derivatives themselves.
+    good = (defect <= settled) | ((defect <= _COARSE) & (defect > 0.1 * parent))
     if good.all():
         return turn, shift
-    bad = ~good
-    if depth == _MOST_HALVINGS:
-        x, y = start[np.argmax(bad)]
-        raise InputError(
-            f"The transform cannot be integrated near ({x:.6g}, {y:.6g}), where det H vanishes or "
-            "the function is not smooth: choose a domain away from it."
+    turn[~good] = np.nan
+    bad = np.flatnonzero(~good & _regular(before) & _regular(after))
+    if depth == _MOST_HALVINGS or not bad.size:
+        return turn, shift
+    middle = 0.5 * (start[bad] + end[bad])
+    between = source.hessian(*middle.T)
+    first = _carry(source, start[bad], middle, before[bad], between, defect[bad], depth + 1)
+    # A path that is lost in its first half needs no second.
+    on = np.isfinite(first[0]).all(axis=(1, 2))
+    bad = bad[on]
+    if bad.size:
+        second = _carry(
+            source, middle[on], end[bad], between[on], after[bad], defect[bad], depth + 1
         )
-    a, b, worse = start[bad], end[bad], defect[bad]
-    middle = 0.5 * (a + b)
-    between = _hessian_at(source, middle)
-    first = _carry(source, a, middle, before[bad], between, worse, depth + 1)
-    second = _carry(source, middle, b, between, after[bad], worse, depth + 1)
-    turn[bad], shift[bad] = compose(first, second)
+        turn[bad], shift[bad] = compose((first[0][on], first[1][on]), second)
     return turn, shift
 
 
@@ -182,7 +207,7 @@ def _step(source: Derivatives, start: Array, end: Array) -> tuple[Array, Array]:
     nodes, inner, weights = _gauss_method(_STAGES)
     n, step = len(start), end - start
     at = (start[:, None, :] + nodes[:, None] * step[:, None, :]).reshape(-1, 2)
-    hessian = _hessian_at(source, at)
+    hessian = source.hessian(*at.T)
     rates = christoffel(hessian, source.third(at[:, 0], at[:, 1]), np.repeat(step, _STAGES, 0))
     rates = rates.reshape(n, _STAGES, 2, 2)
     identity = np.eye(2)
@@ -191,9 +216,8 @@ def _step(source: Derivatives, start: Array, end: Array) -> tuple[Array, Array]:
         n, 2 * _STAGES, 2 * _STAGES
     )
     right = np.broadcast_to(np.tile(identity, (_STAGES, 1)), (n, 2 * _STAGES, 2))
-    with np.errstate(invalid="ignore", over="ignore"):
-        stages = np.linalg.solve(matrix, right).reshape(n, _STAGES, 2, 2).transpose(0, 1, 3, 2)
-        turn = identity + np.einsum("j,njkl,njlm->nkm", weights, stages, rates)
+    stages = np.linalg.solve(matrix, right).reshape(n, _STAGES, 2, 2).transpose(0, 1, 3, 2)
+    turn = identity + np.einsum("j,njkl,njlm->nkm", weights, stages, rates)
     shift = np.einsum("j,njkl,nl->nk", weights, stages, step)
     return turn, shift
 
@@ -209,17 +233,9 @@ def _gauss_method(stages: int) -> tuple[Array, Array, Array]:
     return c, integrals @ np.linalg.inv(vandermonde), b
 
 
-def _hessian_at(source: Derivatives, at: Array) -> Array:
-    hessian = source.hessian(at[:, 0], at[:, 1])
+def _regular(hessian: Array) -> NDArray[np.bool_]:
     determinant = hessian[:, 0, 0] * hessian[:, 1, 1] - hessian[:, 0, 1] ** 2
-    bad = ~np.isfinite(determinant) | (determinant == 0.0)
-    if bad.any():
-        x, y = at[np.argmax(bad)]
-        raise InputError(
-            f"det H vanishes or is not finite at ({x:.6g}, {y:.6g}), where the transform has no "
-            "meaning: choose a domain away from it."
-        )
-    return hessian
+    return np.asarray(np.isfinite(determinant) & (determinant != 0.0))
 
 
 def _inverse(matrix: Array) -> Array:

@@ -40,8 +40,9 @@ def constrained_delaunay(
         mesh.insert_vertices(np.ascontiguousarray(points))
         mesh.insert_edges(np.ascontiguousarray(edges, np.uint32))
     except RuntimeError as error:
+        cause = str(error).partition("\n")[0]  # what follows is a place in the source of CDT
         raise InputError(
-            f"The boundary and the points do not make a triangulation ({error}): "
+            f"The boundary and the points do not make a triangulation ({cause}): "
             "remove duplicate points and crossing lines."
         ) from None
     mesh.erase_super_triangle()

@@ -9,7 +9,6 @@ import numpy as np
 import shapely
 
 from equimesh.errors import InputError
-from equimesh.expression import parse
 from equimesh.fields.base import Array, IntArray
 from equimesh.fields.differences import stencil_derivatives
 from equimesh.fields.kernel import PATCHES, KernelField
@@ -56,6 +55,8 @@ class Function:
 
     def __post_init__(self) -> None:
         if isinstance(self.f, str):
+            from equimesh.expression import parse  # SymPy takes a while to load
+
             expression = parse(self.f)
             object.__setattr__(self, "f", expression.value)
             object.__setattr__(self, "gradient_of", expression.gradient)

@@ -13,7 +13,7 @@ from equimesh.fields.dispatch import edge_error, inner_error, value
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.workers import in_ranges
 
-__all__ = ["border_heights", "heights", "triangle_errors"]
+__all__ = ["border_heights", "chord_spans", "heights", "triangle_errors"]
 
 
 def heights(F: KernelField, points: Array) -> Array:
@@ -37,6 +37,16 @@ def triangle_errors(F: KernelField, points: Array, triangles: IntArray) -> Array
     return out
 
 
+def chord_spans(F: KernelField, a: Array, b: Array, low: float, high: float) -> Array:
+    """(n, 2) least and largest of field - chord, or 0, on edges from ``a`` to ``b``.
+
+    ``a`` and ``b`` (n, 3), local, with heights; ``low`` and ``high`` bound these and the field's.
+    """
+    out = np.zeros((len(a), 2))
+    _chord_spans(F, np.ascontiguousarray(a), np.ascontiguousarray(b), high - low + 1.0, out)
+    return out
+
+
 def border_heights(F: KernelField, domain: shapely.Geometry, low: float, high: float) -> Array:
     """Extremes along every ring of a domain, in local coordinates; empty where it meets no field.
 
@@ -52,6 +62,20 @@ def border_heights(F: KernelField, domain: shapely.Geometry, low: float, high: f
 def _heights(F: KernelField, points: Array, out: Array) -> None:
     for k in range(len(points)):
         out[k] = value(F, points[k, 0], points[k, 1])
+
+
+@compiled
+def _chord_spans(F: KernelField, a: Array, b: Array, reach: float, out: Array) -> None:
+    """Against a chord so far below or above, the largest error is an extreme."""
+    for k in range(len(a)):
+        for side in range(2):
+            lift = reach if side == 0 else -reach
+            p, q = a[k, 2] + lift, b[k, 2] + lift
+            e, _ = edge_error(F, a[k, 0], a[k, 1], p, b[k, 0], b[k, 1], q, math.inf)
+            if e != 0.0:
+                out[k, side] = e + lift
+        out[k, 0] = min(out[k, 0], 0.0)
+        out[k, 1] = max(out[k, 1], 0.0)
 
 
 @compiled

@@ -6,13 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike
-from scipy import ndimage, sparse
-from scipy.interpolate import RectBivariateSpline
+from scipy import sparse
 
 from equimesh.errors import InputError
 from equimesh.fields.base import Array, IntArray
@@ -20,6 +19,9 @@ from equimesh.fields.kernel import RASTER, KernelField
 from equimesh.fields.measures import border_heights, heights, triangle_errors
 from equimesh.fields.raster_outline import cell_outline
 from equimesh.frame import Frame
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RectBivariateSpline
 
 __all__ = ["Raster"]
 
@@ -191,6 +193,10 @@ class Raster:
     @cached_property
     def _fit(self) -> RectBivariateSpline:
         """The C2 bicubic spline over (row, column)."""
+        # Slow to load, and only derivatives need them.
+        from scipy import ndimage
+        from scipy.interpolate import RectBivariateSpline
+
         heights = self.heights
         missing = np.isnan(heights)
         if missing.any():

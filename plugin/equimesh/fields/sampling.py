@@ -62,7 +62,8 @@ def sampled_errors(
     for _ in range(_DEPTH):
         largest = errors.max(initial=0.0)
         loose = (fine_bound - fine > _TIGHT * largest) & (fine_bound > 0.98 * largest)
-        open_case = (fine_bound > limit) & (fine <= limit)
+        # The model may be off either way by as much as its remainder.
+        open_case = (fine_bound > limit) & (2.0 * fine - fine_bound <= limit)
         families = np.unique(owner[loose | open_case])
         if len(families) == 0:
             break

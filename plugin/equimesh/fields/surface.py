@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from equimesh.errors import InputError
 from equimesh.fields.base import Array, IntArray
 from equimesh.fields.kernel import KernelField
-from equimesh.fields.measures import border_heights, heights, triangle_errors
+from equimesh.fields.measures import border_heights, chord_spans, heights, triangle_errors
 from equimesh.fields.surface_fit import Derivatives, fit_quadratics, interpolate
 from equimesh.fields.surface_index import index_surface
 from equimesh.fields.surface_outline import Border
@@ -105,10 +105,10 @@ class Surface:
     def outline(self, tol: float = 0.0) -> shapely.Geometry:
         """The border in projection, its vertices among the surface's.
 
-        Every border vertex stays within ``tol`` of the simplified border, measured in space from
-        segment to vertex; 0 keeps all of them.
+        Every border vertex stays within ``tol`` of the simplified border, measured in space, and
+        still does if nodes on the surface divide that further; 0 keeps all of them.
         """
-        return self._border.simplified(tol)
+        return self._border.simplified(tol, self._sag)
 
     def span(self, domain: shapely.Geometry) -> tuple[float, float]:
         """Extremes over the domain: at vertices inside and along its border."""
@@ -176,6 +176,11 @@ class Surface:
         points = self._kernel.points.copy()
         points[:, :2] = self._frame.to_user(points[:, :2])
         return fit_quadratics(points, self._kernel.triangles[:, :3])
+
+    def _sag(self, a: Array, b: Array) -> Array:
+        """(n, 2) least and largest of surface - chord, or 0, on chords from a to b, (n, 3)."""
+        p, q = (np.column_stack([self._frame.to_local(v[:, :2]), v[:, 2]]) for v in (a, b))
+        return chord_spans(self._kernel, p, q, *self._range)
 
     def _local(self, x: Array, y: Array) -> Array:
         points = np.stack(np.broadcast_arrays(x, y), axis=-1).astype(np.float64)

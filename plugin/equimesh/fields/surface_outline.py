@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,8 +21,10 @@ from equimesh.fields.surface_topology import opposites, trace_rings
 __all__ = ["Border"]
 
 Flags = NDArray[np.bool_]
+Sag = Callable[[Array, Array], Array]
 
-_SAFETY = 0.9  # of the tolerance: leaves room for rounding in what others measure
+_SAFETY = 0.9  # of the tolerance, between a border's vertices and chords
+_LIMIT = 0.98  # the same for chords whose nodes may move up or down to the surface
 _HALVINGS = 30  # after so many a ring is kept as it is
 
 
@@ -100,11 +102,15 @@ class Border:
         """Every border vertex, as Polygon or MultiPolygon."""
         return self._polygons(self.rings)
 
-    def simplified(self, tol: float) -> shapely.Geometry:
+    def simplified(self, tol: float, sag: Sag | None = None) -> shapely.Geometry:
         """Rings with fewer vertices, each border vertex within ``tol`` of its ring in space.
 
         Vertices where rings meet stay. Where a simplified ring would cross itself or others,
         swallow one or lose its area, its tolerance is halved until it does not.
+
+        ``sag(a, b)`` tells how far the surface falls below and rises above the chords from a to b,
+        (n, 2), zero included. With it the border also stays within ``tol`` of chords that nodes on
+        the surface divide: whatever nodes, the chord moves within its sag.
         """
         shared = np.bincount(np.concatenate(self.rings), minlength=len(self.points)) > 1
         halvings = np.zeros(len(self.rings), np.int64)
@@ -114,8 +120,8 @@ class Border:
             for k in changed:
                 ring = self.rings[k]
                 if halvings[k] < _HALVINGS:
-                    within = _SAFETY * tol * 0.5 ** halvings[k]
-                    ring = ring[_simplify(self.points[ring], shared[ring], within)]
+                    within = tol * 0.5 ** halvings[k]
+                    ring = ring[_reduced(self.points[ring], shared[ring], within, sag)]
                 rings[k] = ring
             changed = self._to_blame(rings)
             changed = changed[halvings[changed] < _HALVINGS]
@@ -220,6 +226,39 @@ def _overlap(graph: Graph) -> str:
     if not number:
         return "along their borders"
     return f"{number:,} triangles, {100.0 * number / len(faces):.2g} %"
+
+
+def _reduced(chain: Array, fixed: Flags, tol: float, sag: Sag | None) -> IntArray:
+    """Places (ascending) of the vertices to keep of a closed chain (k, 3) within ``tol``."""
+    fixed = fixed.copy()
+    while True:
+        kept = _simplify(chain, fixed, _SAFETY * tol)
+        if sag is None:
+            return kept
+        following = np.roll(kept, -1)
+        span = (following - kept) % len(chain)
+        chord = np.repeat(np.arange(len(kept)), span - 1)
+        place = np.arange(len(chord)) - np.repeat(np.cumsum(span - 1) - span + 1, span - 1)
+        vertex = (kept[chord] + place + 1) % len(chain)
+        a, b = chain[kept], chain[following]
+        gap = _gaps(chain[vertex], a[chord], b[chord])
+        low, high = sag(a, b)[chord].T
+        gap[:, 2] = np.maximum(gap[:, 2] - low, high - gap[:, 2])
+        far = np.sqrt((gap**2).sum(axis=1))
+        bad = np.flatnonzero(far > _LIMIT * tol)
+        if not len(bad):
+            return kept
+        worst = bad[np.lexsort((-far[bad], chord[bad]))]
+        fixed[vertex[worst[np.diff(chord[worst], prepend=-1) != 0]]] = True
+        fixed[kept] = True
+
+
+def _gaps(p: Array, a: Array, b: Array) -> Array:
+    """(n, 3) from the nearest points of segments a-b to points p."""
+    step = b - a
+    square = np.maximum((step**2).sum(axis=1), 1e-300)
+    s = np.clip(((p - a) * step).sum(axis=1) / square, 0.0, 1.0)
+    return np.asarray(p - a - s[:, None] * step)
 
 
 def _simplify(chain: Array, fixed: Flags, tol: float) -> IntArray:

@@ -30,7 +30,6 @@ __all__ = ["EFFORTS", "Effort", "optimise", "repair"]
 Report = Callable[[float], None]
 # Hardly any removal succeeds around a vertex that could spare fewer triangles than this.
 _WORTH = 1.5
-MOST_TRIANGLES = 40_000_000
 
 
 @dataclass(frozen=True)
@@ -71,8 +70,10 @@ def optimise(
             if thin_out(field, mesh, tol) == 0:
                 break
     report(0.5)
-    _remove(field, mesh, tol, how, report)
-    return mesh, bool(violations(mesh, 1.0)[0] == 0)
+    good = bool(violations(mesh, 1.0)[0] == 0)
+    if good:
+        _remove(field, mesh, tol, how, report)
+    return mesh, good
 
 
 def repair(field: KernelField, mesh: Mesh, tol: float, slots: NDArray[np.int64]) -> Mesh:
@@ -108,11 +109,19 @@ def _lower_errors(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> M
 
 
 def _refine(field: KernelField, mesh: Mesh, tol: float) -> Mesh:
-    """Greedy insertion, in a larger mesh each time the slots run out."""
+    """Greedy insertion, in a larger mesh each time the slots run out.
+
+    Data ask for at most a few triangles a sample; where a lattice was laid, for no more than a few
+    times its number. Beyond that the surface has a jump, and the rest is left violated.
+    """
+    if field.kind == PATCHES:
+        most = 3 * int((mesh.tv[:, 0] >= 0).sum())
+    else:
+        most = 8 * (field.grid.size + len(field.triangles))
     while True:
         scratch = 4 * len(mesh.tv) + 10_000
-        done = refine(field, mesh, tol, np.zeros(scratch, np.int64), np.zeros(scratch))
-        if done or len(mesh.tv) >= MOST_TRIANGLES:
+        keys = np.zeros(scratch)
+        if refine(field, mesh, tol, np.zeros(scratch, np.int64), keys, most + 20_000):
             return mesh
         mesh = enlarged(mesh)
 

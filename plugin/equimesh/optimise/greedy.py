@@ -12,6 +12,7 @@ from equimesh.fields.compiled import compiled
 from equimesh.fields.kernel import RASTER
 from equimesh.optimise.energy import edge_of, set_edge, set_inner, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
+from equimesh.optimise.mesh import FREE_TRIANGLES
 from equimesh.optimise.topology import ample, flip, star
 
 __all__ = ["refine"]
@@ -161,8 +162,10 @@ def _split_worst(F, m, tol, t):
 
 
 @compiled
-def refine(F, m, tol, heap, key):
+def refine(F, m, tol, heap, key, most):
     """Insert until every error is at most ``tol``; False where the mesh ran out of slots.
+
+    Stops at ``most`` triangles: at a jump no insertion helps.
 
     ``heap``, ``key``: scratch, several times as long as there are slots for triangles. A violated
     triangle that cannot be split is left.
@@ -173,6 +176,8 @@ def refine(F, m, tol, heap, key):
         size = _pop(heap, key, size)
         if m.tv[t, 0] < 0 or worst_of(m, t) != e:
             continue
+        if m.count[0] - m.count[FREE_TRIANGLES] >= most:
+            return True
         if m.count[0] + 16 > m.tv.shape[0] or m.count[1] + 4 > m.x.shape[0]:
             return False
         v = _split_worst(F, m, tol, t)

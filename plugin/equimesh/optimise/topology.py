@@ -22,9 +22,9 @@ __all__ = [
     "note_triangle", "note_vertex", "positive", "rollback", "room_left", "star",
 ]  # fmt: skip
 
-# Twice the area of a triangle over the squares of its edges. A split may make the thinnest triangles
-# that stay positive when coordinates are rounded; other changes keep a distance from that, so that
-# every triangle they leave can be split.
+# Twice the area of a triangle over the squares of its edges. A split may make the thinnest
+# triangles that stay positive when coordinates are rounded; other changes keep a distance from
+# that, so that every triangle they leave can be split.
 _THINNEST = 1e-12
 _AMPLE = 1e-9
 
