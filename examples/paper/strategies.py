@@ -12,8 +12,6 @@ from measure import integral_of_root, triangle_errors
 
 import equimesh
 from equimesh.expression import parse
-from equimesh.flat import flat_mesh
-from equimesh.transform import FlatMap
 
 __all__ = ["Row", "run"]
 
@@ -61,14 +59,14 @@ def run(case: Case) -> list[Row]:
             note,
         )
 
-    flat_map = FlatMap(case.text, SQUARE)
+    flat_map = equimesh.FlatMap(case.text, SQUARE)
     rows = []
     for printed in case.rows[:2]:
         mesh, note = _best_lattice(flat_map, printed.median)
         rows.append(row("optimal shape (interior)", printed.median, *mesh, printed, note))
 
     printed = case.rows[2]
-    mesh = flat_mesh(flat_map, None, printed.median, "equilateral", "full")
+    mesh = equimesh.flat_mesh(flat_map, None, printed.median, "equilateral", "full")
     equilateral = row("equilateral (cover)", printed.median, mesh.points, mesh.triangles, printed)
     rows.append(equilateral)
 
@@ -101,11 +99,11 @@ def run(case: Case) -> list[Row]:
     return rows
 
 
-def _best_lattice(flat_map: FlatMap, tol: float):
+def _best_lattice(flat_map: equimesh.FlatMap, tol: float):
     """The lattice of most triangles inside the square, and which it is."""
     best, name = None, ""
     for variant, offset in itertools.product(_SHAPES, _OFFSETS):
-        mesh = flat_mesh(flat_map, None, tol, variant=variant, offset=offset)
+        mesh = equimesh.flat_mesh(flat_map, None, tol, variant=variant, offset=offset)
         if best is None or len(mesh.triangles) > len(best.triangles):
             best = mesh
             name = f"V{variant} at offset ({offset[0]:.1f}, {offset[1]:.1f})"
