@@ -17,7 +17,7 @@ from matplotlib import get_data_path
 from typer.testing import CliRunner
 
 import equimesh
-from equimesh import cli, formats
+from equimesh import cli, formats, paper
 
 JACKSBORO = Path(get_data_path()) / "sample_data" / "jacksboro_fault_dem.npz"
 KEYS = {
@@ -255,6 +255,25 @@ def test_version_and_help(room):
     assert run().exit_code == 2
 
 
+def test_paper_runs_the_program_beside_the_package_in_the_folder_that_was_named(room, monkeypatch):
+    program = room / "examples" / "paper"
+    program.mkdir(parents=True)
+    (program / "other.py").write_text("WORD = 'made'")
+    (program / "__main__.py").write_text(
+        "import sys, pathlib, other\npathlib.Path(sys.argv[1]).write_text(other.WORD)\n"
+    )
+    monkeypatch.setattr("equimesh.paper.__file__", str(room / "paper.py"))
+    before = list(sys.argv)
+    done = run("paper", "page")
+    assert done.exit_code == 0, done.stderr
+    assert Path("page").read_text() == "made"
+    assert sys.argv == before
+
+
+def test_the_program_of_the_paper_is_in_the_checkout():
+    assert paper.program().joinpath("__main__.py").is_file()
+
+
 # Bad input: one sentence, exit status 1, no file
 
 
@@ -483,6 +502,24 @@ def test_a_failure_while_drawing_leaves_no_mesh(room, monkeypatch):
     assert done.exit_code == 1
     assert [path.name for path in room.iterdir()] == ["a.ply"]
     assert Path("a.ply").read_text() == "old"
+
+
+@pytest.mark.parametrize("lost", ["skfem", "matplotlib"])
+def test_paper_names_the_extra_that_is_missing(lost, room, monkeypatch):
+    monkeypatch.setattr(paper, "find_spec", lambda name: None if name == lost else object())
+    done = run("paper", "page")
+    assert done.exit_code == 1
+    assert "equimesh[paper]" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(room.iterdir())
+
+
+def test_paper_does_not_overwrite_a_file_with_its_folder(room):
+    Path("page").write_text("mine")
+    done = run("paper", "page")
+    assert done.exit_code == 1
+    assert done.stderr.count("\n") == 1
+    assert Path("page").read_text() == "mine"
 
 
 def test_the_program_itself_says_one_sentence_and_no_traceback(room):

@@ -44,10 +44,10 @@ def test_no_module_is_longer_than_it_should_be(path):
     assert len(path.read_text(encoding="utf-8").splitlines()) <= 420
 
 
-def test_importing_the_package_loads_no_mesh_tool_and_no_plotting():
+def test_importing_the_package_loads_no_mesh_tool_no_plotting_and_no_algebra():
+    slow = {"trimesh", "meshio", "matplotlib", "rasterio", "gmsh", "sympy", "skfem"}
     code = (
-        "import sys, equimesh, equimesh.cli, equimesh_adapters;"
-        "print(*{'trimesh', 'meshio', 'matplotlib', 'rasterio', 'gmsh'} & set(sys.modules))"
+        f"import sys, equimesh, equimesh.cli, equimesh_adapters;print(*{slow} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
@@ -60,7 +60,7 @@ def test_what_is_installed_is_what_the_project_declares():
     found = {entry.name: entry.value for entry in entry_points(group="equimesh.adapters")}
     assert declared.items() <= found.items()
     assert set(PROJECT["optional-dependencies"]) >= {
-        "pymeshlab", "gmsh", "pyvista", "raster", "plot", "scale", "all", "test",
+        "pymeshlab", "gmsh", "pyvista", "raster", "plot", "scale", "paper", "all", "test",
     }  # fmt: skip
 
 
@@ -86,6 +86,15 @@ def test_the_first_command_line_does_what_it_says(tmp_path):
     for row in ("input", "triangles", "largest error", "bound on the error", "N*", "efficiency"):
         assert row in done.stdout
     assert {path.name for path in tmp_path.iterdir()} == {"jacksboro.ply", "jacksboro.png"}
+
+
+def test_the_wheel_brings_the_whole_program_of_the_paper():
+    tool = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    packed = tool["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    program = ROOT / "examples" / "paper"
+    files = {*program.glob("*.py"), program / "page.md"}
+    assert {ROOT / source for source in packed} == files
+    assert {f"equimesh/{source}" for source in packed} == set(packed.values())
 
 
 def test_the_changelog_knows_the_version():

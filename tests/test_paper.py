@@ -22,9 +22,10 @@ def program(monkeypatch):
 
 
 @pytest.mark.parametrize("number", [2, 4])
-def test_every_row_has_the_papers_count_or_beats_it(program, number):
+def test_every_row_has_the_papers_count_or_beats_it(program, number, tmp_path):
     case = program("cases").CASES[number - 1]
-    first, second, equilateral, adaptive, certified = program("strategies").run(case)
+    rows = program("strategies").run(case)
+    first, second, equilateral, adaptive, certified = rows
     for row, slack in ((first, 0.03), (second, 0.06 if number == 4 else 0.03)):
         assert row.errors.size == pytest.approx(row.printed.triangles, rel=slack)
         assert np.median(row.errors) == pytest.approx(row.printed.median, rel=0.01)
@@ -40,6 +41,13 @@ def test_every_row_has_the_papers_count_or_beats_it(program, number):
         areas = local.area(row.points[row.triangles])
         assert areas.min() > 0.0
         assert areas.sum() == pytest.approx(1.0, rel=1e-9)
+    names = program("pictures").draw_example(case, rows, tmp_path)
+    assert sorted(names) == sorted(path.name for path in tmp_path.iterdir())
+
+
+def test_the_optimal_triangles_are_drawn(program, tmp_path):
+    program("pictures").draw_triangles(tmp_path / "triangles.png")
+    assert (tmp_path / "triangles.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 4])
