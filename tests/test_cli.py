@@ -532,8 +532,11 @@ def test_the_program_itself_says_one_sentence_and_no_traceback(room):
 
 
 SLOW = """
-import sys, time, equimesh
+import signal, sys, time, equimesh
 from equimesh.cli import main
+
+# A shell that runs the tests in the background has its programs ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def remesh(*args, **options):
     print("ready", flush=True)

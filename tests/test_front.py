@@ -94,10 +94,22 @@ def basis_at_seed(text, seed, flat_map, signature, tol):
     return math.sqrt(tol) * lattice_vectors(signature) @ (jacobian @ frame).T
 
 
+def deep(flat_map, signature, tol, depth=1.3):
+    """The image of the square in y-space without a band of ``depth`` spacings."""
+    ring = shapely.get_coordinates(shapely.segmentize(SQUARE.exterior, 1 / 400))
+    image = shapely.Polygon(flat_map(*ring.T))
+    assert image.is_valid
+    return image.buffer(-depth * unit(signature, tol))
+
+
 def deviation(text, flat_map, signature, tol, points):
-    """(n,) distance of each vertex to the nearest lattice point, in spacings; (n, 2) which."""
+    """Distance of each deep vertex to the nearest lattice point in spacings, and which that is.
+
+    In the band along the boundary, places that the lattice leaves free have vertices of their own.
+    """
     basis = basis_at_seed(text, points[0], flat_map, signature, tol)
-    steps = lattice_coordinates(flat_map(*points.T), basis)
+    y = flat_map(*points.T)
+    steps = lattice_coordinates(y, basis)[shapely.contains_xy(deep(flat_map, signature, tol), *y.T)]
     whole = np.round(steps)
     return np.linalg.norm((steps - whole) @ basis, axis=1) / unit(signature, tol), whole
 
@@ -107,10 +119,10 @@ def test_on_a_flat_metric_all_vertices_lie_on_the_papers_lattice(case):
     text, flat_map, signature, tol = FLAT[case]
     points = laid(text, tol)
     gap, whole = deviation(text, flat_map, signature, tol, points)
-    assert len(points) > 100
+    assert len(gap) > 0.6 * len(points) > 60
     assert gap.max() <= 0.03
     # No place is taken twice.
-    assert len(np.unique(whole, axis=0)) == len(points)
+    assert len(np.unique(whole, axis=0)) == len(whole)
 
 
 @pytest.mark.parametrize("case, fine", [("example 1", 4), ("example 2", 8), ("example 4", 16)])
@@ -122,7 +134,7 @@ def test_the_deviation_falls_with_the_square_of_the_tolerance(case, fine):
         points = laid(text, tol / part)
         gap, _ = deviation(text, flat_map, signature, tol / part, points)
         middle.append(np.median(gap))
-    assert np.mean(gap <= 1e-3) >= 0.998  # but for a pocket that the first front cannot reach
+    assert gap.max() <= 1e-3
     assert math.log(middle[0] / middle[1]) / math.log(fine) == pytest.approx(2.0, abs=0.5)
 
 
@@ -132,15 +144,11 @@ def test_the_lattice_covers_the_domain_without_a_gap(case):
     points = laid(text, tol)
     y = flat_map(*points.T)
     basis = basis_at_seed(text, points[0], flat_map, signature, tol)
-    ring = shapely.get_coordinates(shapely.segmentize(SQUARE.exterior, 1 / 400))
-    image = shapely.Polygon(flat_map(*ring.T))
-    assert image.is_valid
-    core = image.buffer(-1.3 * unit(signature, tol))
     steps = lattice_coordinates(y, basis)
     low, high = np.floor(steps.min(0)), np.ceil(steps.max(0))
     i, j = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
     expected = y[0] + np.stack([i.ravel(), j.ravel()], 1) @ basis
-    expected = expected[shapely.contains_xy(core, *expected.T)]
+    expected = expected[shapely.contains_xy(deep(flat_map, signature, tol), *expected.T)]
     distance, _ = cKDTree(y).query(expected)
     assert len(expected) > 30
     assert distance.max() <= 0.03 * unit(signature, tol)
@@ -159,12 +167,6 @@ def test_a_cell_of_the_lattice_is_two_optimal_triangles(case):
     assert errors == pytest.approx(tol if signature < 0 else 0.75 * tol, rel=1e-6)
 
 
-def on_one_lattice(steps, accuracy):
-    """Whether all but a few vertices, in pockets that the first front cannot reach, fit."""
-    gap = np.abs(steps - np.round(steps)).max(1)
-    return (gap > accuracy).sum() <= 0.05 * len(gap) + 1
-
-
 @given(st.floats(-0.48, 0.48))  # half a period of the boost either way
 @example(0.0)
 @example(0.45)
@@ -177,10 +179,13 @@ def test_any_gauge_of_the_seed_lays_a_lattice(gauge):
     inner = math.sqrt(tol) * lattice_vectors(signature)
     turn = np.linalg.solve(inner, basis)
     # Which way the second eigenvector points is free: it decides the sense of the boost.
-    assert any(
-        on_one_lattice(lattice_coordinates(flat_map(*points.T), inner @ b @ turn), 0.05)
-        for b in (boost, np.linalg.inv(boost))
-    )
+    y = flat_map(*points.T)
+    far = shapely.contains_xy(deep(flat_map, signature, tol, 2.0), *y.T)
+    gaps = []
+    for sense in (boost, np.linalg.inv(boost)):
+        steps = lattice_coordinates(y, inner @ sense @ turn)[far]
+        gaps.append(np.quantile(np.abs(steps - np.round(steps)).max(1), 0.95))
+    assert min(gaps) <= 0.02
     assert len(points) > 500
 
 
@@ -197,13 +202,19 @@ def test_a_quadratic_has_a_straight_lattice(angle, ratio, signature):
     tol = 1e-3
     points = laid(f, tol)
     frame = np.array([[c, s], [-s, c]]) * np.array([[1.0], [math.sqrt(ratio)]])
-    y = points @ frame.T
     if ratio > 1 and signature > 0:
-        y = y[:, ::-1]  # the first axis is that of the larger eigenvalue
+        frame = frame[::-1]  # the first axis is that of the larger eigenvalue
+
+    def straight(x, y):
+        return np.stack([x, y], -1) @ frame.T
+
+    y = straight(*points.T)
     lattice = math.sqrt(tol) * lattice_vectors(signature)
+    far = shapely.contains_xy(deep(straight, signature, tol, 2.0), *y.T)
     # The mirror image of the lattice is the same set of points.
-    assert on_one_lattice(lattice_coordinates(y, lattice), 1e-6)
-    assert on_one_lattice(lattice_coordinates(y, lattice * [1.0, -1.0]), 1e-6)
+    for basis in (lattice, lattice * [1.0, -1.0]):
+        steps = lattice_coordinates(y, basis)[far]
+        assert np.abs(steps - np.round(steps)).max() <= 1e-6
 
 
 @pytest.mark.parametrize("text", ["exp(2*x+y)+(x-2*y)**2", "sin(4*x)*cos(3*y)"])

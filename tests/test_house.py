@@ -101,6 +101,15 @@ def test_the_changelog_knows_the_version():
     assert f"## {PROJECT['version']}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
+def test_the_measured_tables_meet_what_was_asked():
+    page = README.split("<!-- measured -->")[1].split("<!-- end of measured -->")[0]
+    verdicts, cases = page.split("| function |")
+    rows = [line.split(" | ") for line in verdicts.splitlines() if line.startswith("| ")][2:]
+    assert len(rows) > 20
+    assert {row[-1] for row in rows} <= {"yes |", "skipped |"}
+    assert len(cases.strip().splitlines()) == 1 + 1 + 17
+
+
 def test_every_format_is_in_the_readme():
     from equimesh.formats import formats
 

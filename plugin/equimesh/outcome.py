@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from equimesh.domain import Sides
 from equimesh.fields.base import Field
 from equimesh.first_mesh import FirstMesh
 from equimesh.frame import Frame
@@ -49,7 +50,7 @@ def user_mesh(
     edges = np.stack([triangles[row, k], triangles[row, (k + 1) % 3]], 1)
     own = np.where(kind[edges[:, 0]] == SLIDES, side[edges[:, 0]], side[edges[:, 1]])
     both = (kind[edges[:, 0]] != SLIDES) & (kind[edges[:, 1]] != SLIDES)
-    own[both] = _side_between(corner, side, edges[both])
+    own[both] = _side_between(sides, corner, side, edges[both])
     if frame.determinant < 0.0:
         triangles, edges = triangles[:, ::-1], edges[:, ::-1]
     points = np.ascontiguousarray(np.column_stack([plane, z]))
@@ -58,9 +59,24 @@ def user_mesh(
 
 
 def _side_between(
+    sides: Sides,
     corner: NDArray[np.int64],
     side: NDArray[np.int64],
     edges: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """The side of an edge between two corners: the one that starts at its first."""
-    return np.where(corner[edges[:, 0]] >= 0, corner[edges[:, 0]], side[edges[:, 0]])
+    """The side of an edge between two corners: the one that leads from its first to its second.
+
+    Where rings touch, sides of both start at the same place.
+    """
+    start, end = corner[edges[:, 0]], corner[edges[:, 1]]
+    own = np.where(start >= 0, start, side[edges[:, 0]])
+    known = np.flatnonzero((start >= 0) & (end >= 0))
+    _, place = np.unique(sides.corners, axis=0, return_inverse=True)
+    place = place.ravel()
+    key = place * len(place) + place[sides.following]
+    order = np.argsort(key)
+    wanted = place[start[known]] * len(place) + place[end[known]]
+    found = order[np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)]
+    hit = key[found] == wanted
+    own[known[hit]] = found[hit]
+    return np.asarray(own)
