@@ -94,10 +94,16 @@ def room(mesh: Mesh) -> int:
 def _lower_errors(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Mesh:
     """Insert vertices, a few far apart at a time, until no error exceeds ``tol``."""
     stamp = np.zeros(len(mesh.x), np.int64)
+    fewest, stalled = len(mesh.tv), 0
     for number in range(1, 40):
         order = _violated(mesh)
         if len(order) == 0:
             return mesh
+        # Flips may push each new vertex aside again: then greedy insertion must break the circle.
+        stalled = 0 if len(order) < fewest else stalled + 1
+        fewest = min(fewest, len(order))
+        if stalled > 3:
+            break
         if room(mesh) < 4 * len(order):
             mesh = enlarged(mesh)
             queue, stamp = make_queue(len(mesh.x)), np.zeros(len(mesh.x), np.int64)
