@@ -54,6 +54,16 @@ def test_polynomials_of_degree_ten_are_differentiated_exactly(seed):
         assert np.abs(ours[:, k] - exact).max() <= 1e-8 * np.abs(c).max()
 
 
+def test_each_axis_has_a_width_of_its_own():
+    box = (0.0, 0.0, 1.0, 50.0)
+    x, y = grid(box, 7)
+    first = stencil_derivatives(lambda u, v: np.sin(u) * np.cos(v / 50), x, y, box, 1)
+    mixed = stencil_derivatives(lambda u, v: np.sin(u) * np.cos(v / 50), x, y, box, 2)
+    assert first[:, 1] == pytest.approx(-np.sin(x) * np.sin(y / 50) / 50, abs=1e-11)
+    assert mixed[:, 1] == pytest.approx(-np.cos(x) * np.sin(y / 50) / 50, abs=1e-9)
+    assert mixed[:, 2] == pytest.approx(-np.sin(x) * np.cos(y / 50) / 2500, abs=1e-9)
+
+
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_truncation_falls_with_the_power_of_the_width(order):
     # Degree 10 in x: a derivative of that order loses as many powers of the width.

@@ -163,6 +163,22 @@ def test_cubic_remainders_are_covered_whatever_the_direction():
             assert bounds[0] >= brute_force(f, points, triangle, 200)[0]
 
 
+@pytest.mark.parametrize("size", [1.0, 0.3])
+def test_a_cubic_without_third_differences_along_the_edges_is_covered(size):
+    # The bubble u v (1 - u - v) has none along any edge, only across them.
+    plane = size * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    triangle = np.array([[0, 1, 2]])
+    for tilt in (0.0, 0.01, -0.02):
+
+        def f(x, y, tilt=tilt):
+            u, v = x / size, y / size
+            return u * v * (1 - u - v) + tilt * (u * u - v)
+
+        points = lifted(f, plane)
+        _, bounds = sampled_errors(f, points, triangle)
+        assert bounds[0] >= brute_force(f, points, triangle, 300)[0]
+
+
 def test_a_shift_of_the_mesh_is_its_error():
     plane, triangles = random_triangles(np.random.default_rng(0), 20, 0.5)
     points = np.column_stack([plane, plane @ [2.0, -3.0] + 0.25])
