@@ -21,7 +21,9 @@ import matplotlib
 import numpy as np
 from rows import Record, Row
 
-__all__ = ["bad_inputs", "jacksboro", "odd_inputs", "paper", "range_scan", "same_bytes"]
+__all__ = [
+    "bad_inputs", "jacksboro", "odd_inputs", "paper", "range_scan", "range_scan_file", "same_bytes",
+]  # fmt: skip
 
 EXAMPLE_1 = ["--function", "exp(5*x)*sin(5*y)", "--domain", "0,0,1,1"]
 
@@ -31,7 +33,7 @@ def jacksboro() -> Path:
     return Path(matplotlib.get_data_path()) / "sample_data" / "jacksboro_fault_dem.npz"
 
 
-def _range_scan_file() -> Path | None:
+def range_scan_file() -> Path | None:
     """A range scan that ships with pymeshlab; None where it is not installed."""
     found = importlib.util.find_spec("pymeshlab")
     for folder in (found and found.submodule_search_locations) or []:
@@ -62,7 +64,7 @@ def range_scan(record: Record) -> Iterator[Row]:
     import meshio
     import trimesh
 
-    path = _range_scan_file()
+    path = range_scan_file()
     what = "range scan face000.ply at 1 %"
     if path is None:
         yield Row(what, "pymeshlab, which brings the file, is not installed", "", None)
@@ -177,7 +179,7 @@ def same_bytes(quick: bool) -> Iterator[Row]:
     inputs = {"Example 1, .npz": [*EXAMPLE_1, "out.npz", "--tol", "0.0539"]}
     if not quick:
         inputs["jacksboro at 5 %, .ply"] = [jacksboro(), "out.ply", "--tol", "5%"]
-        scan = _range_scan_file()
+        scan = range_scan_file()
         if scan:
             inputs["face000.ply at 5 %, .vtu"] = [scan, "out.vtu", "--tol", "5%"]
     for name, words in inputs.items():

@@ -22,7 +22,7 @@ from equimesh import cli, formats, paper
 JACKSBORO = Path(get_data_path()) / "sample_data" / "jacksboro_fault_dem.npz"
 KEYS = {
     "status", "tol", "triangles", "vertices", "max_error", "error_bound", "quantiles",
-    "lower_bound", "efficiency", "seed", "seconds", "version",
+    "lower_bound", "efficiency", "seed", "seconds", "version", "bound", "smallest_angles",
 }  # fmt: skip
 
 
@@ -227,8 +227,53 @@ def test_profile_measures_a_mesh_from_elsewhere(room):
     assert 0.25 <= report["error_bound"] <= 0.25 * 1.05
     assert set(report) == {
         "triangles", "vertices", "max_error", "error_bound", "quantiles", "seconds", "version",
+        "bound", "smallest_angles",
     }  # fmt: skip
     assert Path("p.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_bound_says_where_errors_of_a_raster_count(room):
+    heights = np.random.default_rng(0).normal(size=(30, 40))
+    np.save("rough.npy", heights)
+    found = {}
+    for bound in ("surface", "samples"):
+        words = ("rough.npy", f"{bound}.npz", "--tol", "20%", "--bound", bound)
+        done = run("remesh", *words, "--report", "r.json")
+        assert done.exit_code == 0, done.stderr
+        assert ("at samples" in done.stdout) == (bound == "samples")
+        found[bound] = strict_json("r.json")
+        assert found[bound]["bound"] == bound
+        mesh = np.load(f"{bound}.npz")
+        measured = equimesh.profile(mesh["points"], mesh["triangles"], heights, bound)
+        assert measured.bound <= found[bound]["tol"]
+    assert "between them" in done.stdout.replace("\n", " ")
+    assert found["samples"]["triangles"] < found["surface"]["triangles"]
+    refused = run("remesh", "--function", "x*y", "--domain", "0,0,1,1", "o.npz", "--tol", "1%",
+                  "--bound", "samples")  # fmt: skip
+    assert refused.exit_code == 1
+    assert "rasters only" in refused.stderr
+
+
+def test_fill_holes_closes_those_of_a_surface(room):
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(9.0), np.arange(9.0)))
+    cell = np.arange(81).reshape(9, 9)
+    a, b, c, d = (k.ravel() for k in (cell[:-1, :-1], cell[:-1, 1:], cell[1:, 1:], cell[1:, :-1]))
+    triangles = np.vstack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    middle = np.stack([x, y], 1)[triangles].mean(axis=1)
+    triangles = triangles[np.abs(middle - 4.0).max(axis=1) > 1.0]
+    np.savez("scan.npz", points=np.column_stack([x, y, x + 2 * y]), triangles=triangles)
+    counts = []
+    for words in ([], ["--fill-holes", "8 edges"], ["--fill-holes", "3.9"], ["--fill-holes", "4"]):
+        done = run("remesh", "scan.npz", "out.npz", "--tol", "1%", *words)
+        assert done.exit_code == 0, done.stderr
+        assert ("closed 1 hole" in done.stdout) == (words[1:] in (["8 edges"], ["4"]))
+        counts.append(len(np.load("out.npz")["triangles"]))
+    assert counts[0] == counts[2] == 8
+    assert counts[1] == counts[3] == 2
+    np.save("flat.npy", np.zeros((3, 3)))
+    done = run("remesh", "flat.npy", "out.npz", "--tol", "1", "--fill-holes", "all")
+    assert done.exit_code == 1
+    assert "surfaces" in done.stderr
 
 
 def test_profile_takes_the_heights_of_a_flat_mesh_from_the_surface(room):

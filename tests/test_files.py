@@ -92,7 +92,7 @@ def test_the_error_of_every_triangle_goes_along(suffix, result, tmp_path):
     equimesh_adapters.save(tmp_path / f"mesh{suffix}", result)
     mesh = meshio.read(tmp_path / f"mesh{suffix}")
     np.testing.assert_array_equal(mesh.cell_data["error"][0], result.profile.errors)
-    np.testing.assert_array_equal(mesh.point_data["z"], result.points[:, 2])
+    np.testing.assert_array_equal(mesh.point_data["value"], result.points[:, 2])
 
 
 def test_gmsh_gets_the_boundary_curves_as_physical_groups(result, tmp_path):

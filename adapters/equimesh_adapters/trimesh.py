@@ -6,6 +6,7 @@ their definition, about seven digits of each coordinate.
 
 from __future__ import annotations
 
+import copy
 import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,42 +16,111 @@ import numpy as np
 import equimesh
 from equimesh.errors import InputError
 from equimesh.fields.surface import Surface
-from equimesh.formats import Format, TriangleMesh, in_space
+from equimesh.formats import Format, TriangleMesh
+from equimesh_adapters.attributes import Carrier
+from equimesh_adapters.surfaces import profiled, remeshed
 from equimesh_adapters.welding import welded
 
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["FORMAT", "from_result", "remesh", "to_field"]
+__all__ = ["FORMAT", "from_result", "profile", "remesh", "to_field"]
 
 SOUP = (".stl", ".obj", ".glb")  # a vertex may be stored once for each triangle or texture seam
 
 
 def to_field(mesh: trimesh.Trimesh, *, up: Any = None) -> Surface:
-    """The mesh as a surface; vertices stay as they are, unmerged."""
+    """The mesh as a surface seen along ``up``; its own arrays stay as they are.
+
+    Raises InputError for a mesh that is no graph in this direction.
+    """
     return Surface(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64), up=up)
 
 
 def from_result(result: equimesh.Result) -> trimesh.Trimesh:
-    """A result as a trimesh, vertices and triangles in the same order."""
-    import trimesh
+    """A result as a trimesh, vertices and triangles in the same order.
 
-    return trimesh.Trimesh(result.points, result.triangles, process=False)
+    The face attribute ``error`` is the largest error of each triangle.
+    """
+    mesh = _mesh(result.points, result.triangles, result.profile.errors)
+    mesh.metadata.update(result.metadata)
+    return mesh
 
 
 def remesh(
-    mesh: trimesh.Trimesh, tol: float | str | None = None, **options: Any
+    mesh: trimesh.Trimesh, tol: float | str | None = None, *, up: Any = None, **options: Any
 ) -> trimesh.Trimesh:
-    """``equimesh.remesh`` from a trimesh to a trimesh; ``options`` are passed on.
+    """``equimesh.remesh`` from a trimesh to a new trimesh, which keeps what the old one knew.
 
-    Raises InputError for a mesh that is not a graph over any direction, and where the tolerance
-    is not met.
+    Vertex attributes and texture coordinates are linear on the old triangles, vertex colours too
+    (rounded); vertex attributes of whole numbers, flags or texts come from the nearest corner of
+    the old triangle. Face attributes and face colours are those of the old face under the centroid.
+    Metadata (with ``units``) and material are copied, triangles wound as before, and the face
+    attribute ``error`` holds the largest error of each. Vertices are merged neither before nor
+    after (``process=False``).
+
+    Parameters
+    ----------
+    mesh
+        One or several bodies: each is meshed for itself, in the order of their first faces.
+    tol
+        As in ``equimesh.remesh``; a share means that of the body with the largest range of heights.
+    up
+        The direction of heights, ``"x"``, ``"y"``, ``"z"`` or three numbers, for all bodies.
+        Without it every body has its own.
+    options
+        ``target`` (divided among the bodies), ``effort``, ``seed``, ... of ``equimesh.remesh``.
+
+    Raises
+    ------
+    InputError
+        A body that is not a graph, with the share of its triangles to blame; a tolerance that is
+        not met.
     """
-    field = to_field(mesh, up=options.pop("up", None))
-    result = equimesh.remesh(field, tol, **options)
-    if not result.status.ok:
-        raise InputError(result.status.value)
-    return from_result(in_space(result, field))
+    made = remeshed(mesh.vertices, mesh.faces, tol, up=up, **options)
+    new = _mesh(made.points, made.triangles, made.errors)
+    carrier = made.carrier
+    for name, values in mesh.vertex_attributes.items():
+        new.vertex_attributes[name] = carrier.at_vertices(values)
+    for name, values in mesh.face_attributes.items():
+        if name != "error":
+            new.face_attributes[name] = carrier.at_triangles(values)
+    new.metadata = copy.deepcopy(mesh.metadata)
+    _carry_visual(mesh, new, carrier)
+    return new
+
+
+def profile(mesh: trimesh.Trimesh, against: Any, *, up: Any = None) -> equimesh.Profile:
+    """The error of every face of a mesh, whichever program made it, against another surface.
+
+    ``against`` is a trimesh, whose bodies are found again if there are as many, or anything that
+    ``equimesh.profile`` takes.
+    """
+    if hasattr(against, "vertices") and hasattr(against, "faces"):
+        against = (against.vertices, against.faces)
+    return profiled(mesh.vertices, mesh.faces, against, up=up)
+
+
+def _mesh(points: np.ndarray, triangles: np.ndarray, errors: np.ndarray) -> trimesh.Trimesh:
+    try:
+        import trimesh
+    except ImportError:
+        raise InputError("trimesh is not installed: pip install trimesh.") from None
+    attributes = {"error": errors}
+    return trimesh.Trimesh(points, triangles, face_attributes=attributes, process=False)
+
+
+def _carry_visual(old: trimesh.Trimesh, new: trimesh.Trimesh, carrier: Carrier) -> None:
+    visual = old.visual
+    match visual.kind:
+        case "vertex":
+            new.visual.vertex_colors = carrier.colours_at_vertices(visual.vertex_colors)
+        case "face":
+            new.visual.face_colors = carrier.at_triangles(visual.face_colors)
+        case "texture":
+            texture = type(visual)
+            uv = None if visual.uv is None else carrier.at_vertices(visual.uv)
+            new.visual = texture(uv=uv, material=copy.deepcopy(visual.material))
 
 
 def read(path: Path) -> TriangleMesh:
@@ -107,4 +177,7 @@ def _write_text(
     path.write_text("\n".join([header, *vertices, *corners, ""]), encoding="ascii")
 
 
-FORMAT = Format((".ply", ".stl", ".obj", ".off", ".glb"), read, write)
+FORMAT = Format(
+    (".ply", ".stl", ".obj", ".off", ".glb"), read, write,
+    types=("trimesh.Trimesh",), to_field=to_field, remesh=remesh,
+)  # fmt: skip

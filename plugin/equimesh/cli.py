@@ -22,6 +22,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from equimesh import arguments, formats, outputs, plot, report
 from equimesh.errors import Cancelled, InputError
+from equimesh.fields.surface import Surface
 
 __all__ = ["app", "main"]
 
@@ -44,6 +45,11 @@ class Effort(enum.StrEnum):
     best = "best"
 
 
+class Bound(enum.StrEnum):
+    surface = "surface"
+    samples = "samples"
+
+
 FunctionOption = Annotated[
     str | None, typer.Option("--function", metavar="EXPR", help='Such as "exp(5*x)*sin(5*y)".')
 ]
@@ -54,6 +60,17 @@ DomainOption = Annotated[
 UpOption = Annotated[
     str | None,
     typer.Option(metavar="DIR", help="Height axis of a surface: x, y, z or three numbers."),
+]
+BandOption = Annotated[
+    int | None, typer.Option(min=1, metavar="N", help="Which band of a raster, from 1.")
+]
+HolesOption = Annotated[
+    str | None,
+    typer.Option("--fill-holes", metavar="SIZE", help='Of a surface: an area, "40 edges" or all.'),
+]
+BoundOption = Annotated[
+    Bound | None,
+    typer.Option(help="Of a raster: errors count on the surface, or at the samples only."),
 ]
 ReportOption = Annotated[
     Path | None, typer.Option("--report", metavar="R.json", help="Write all figures here.")
@@ -91,6 +108,9 @@ def remesh(
     ] = Fit.interpolate,
     effort: Annotated[Effort, typer.Option(help="Time against triangles.")] = Effort.balanced,
     up: UpOption = None,
+    band: BandOption = None,
+    bound: BoundOption = None,
+    holes: HolesOption = None,
     seed: Annotated[int, typer.Option(help="Same input and seed, same mesh.")] = 0,
     report_file: ReportOption = None,
     plot_file: PlotOption = None,
@@ -102,10 +122,10 @@ def remesh(
         raise typer.BadParameter("give either --tol or --target")
     with _plain_errors():
         *inputs, output = files
-        write = formats.writer(output)
+        formats.writer(output)
         _check_outputs(inputs, [output, report_file, plot_file], plot_file)
         started = time.perf_counter()
-        field = _source(inputs[0] if inputs else None, function, up)
+        field = _source(inputs[0] if inputs else None, function, up, band, holes)
         read = time.perf_counter() - started
         region = None if domain is None else arguments.region(domain)
 
@@ -114,13 +134,13 @@ def remesh(
         with _progress_bar() as progress:
             result = equimesh.remesh(
                 field, tol, region, target=target, fit=fit.value, effort=effort.value,
-                seed=seed, progress=progress,
+                seed=seed, progress=progress, bound=None if bound is None else bound.value,
             )  # fmt: skip
         if not result.status.ok:
             raise InputError(result.status.value)
         figures = report.of_result(result, {"read": read, **result.timings})
         placed = formats.in_space(result, field)
-        written: dict[Path, Callable[[Path], object]] = {output: lambda path: write(path, placed)}
+        written = formats.files_of(output, placed)
         if plot_file is not None:
             written[plot_file] = lambda path: plot.save_plot(path, result.profile, result.tol)
         _finish(written, figures, report_file)
@@ -135,6 +155,9 @@ def profile(
     ] = None,
     function: FunctionOption = None,
     up: UpOption = None,
+    band: BandOption = None,
+    bound: BoundOption = None,
+    holes: HolesOption = None,
     report_file: ReportOption = None,
     plot_file: PlotOption = None,
 ) -> None:
@@ -152,14 +175,19 @@ def profile(
         if points.shape[1] == 3 and not points[:, 2].any():
             points = points[:, :2]
             notes.append("the mesh is flat: its heights were taken from the surface")
-        field = _source(against, function, up)
+        field = _source(against, function, up, band, holes)
         read = time.perf_counter()
 
         import equimesh
 
-        measured = equimesh.profile(formats.in_projection(points, field), triangles, field)
+        surface = equimesh.as_field(field, bound=None if bound is None else bound.value)
+        points = formats.in_projection(points, field)
+        measured = equimesh.profile(points, triangles, surface)
+        at_samples = None
+        if isinstance(surface, equimesh.Raster) and measured.over == "surface":
+            at_samples = equimesh.profile(points, triangles, surface, "samples")
         seconds = {"read": read - started, "profile": time.perf_counter() - read}
-        figures = report.of_profile(measured, seconds)
+        figures = report.of_profile(measured, seconds, at_samples)
         written: dict[Path, Callable[[Path], object]] = {}
         if plot_file is not None:
             written[plot_file] = lambda path: plot.save_plot(path, measured)
@@ -208,13 +236,24 @@ def _stop(sentence: str) -> NoReturn:
     raise typer.Exit(1)
 
 
-def _source(path: Path | None, function: str | None, up: str | None) -> Any:
+def _source(
+    path: Path | None, function: str | None, up: str | None, band: int | None, holes: str | None
+) -> Any:
     direction = None if up is None else arguments.direction(up)
     if function is None:
         assert path is not None
-        return formats.load(path, up=direction)
+        field = formats.load(path, up=direction, band=band)
+        if holes is None:
+            return field
+        if not isinstance(field, Surface):
+            raise InputError("--fill-holes is for surfaces: leave it out for a raster.")
+        return field.closed(holes)
+    if holes is not None:
+        raise InputError("--fill-holes is for surfaces: leave it out with --function.")
     if direction is not None:
         raise InputError("--up is for surfaces: leave it out with --function.")
+    if band is not None:
+        raise InputError("--band is for rasters: leave it out with --function.")
     from equimesh.fields.function import Function
 
     return Function(function)

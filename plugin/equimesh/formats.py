@@ -1,7 +1,7 @@
-"""Files in and out, by suffix, through whatever adapters are installed.
+"""Files by suffix and objects by type, through whatever adapters are installed.
 
-The core reads no format itself. A distribution that does declares, in the entry-point group
-``equimesh.adapters``, one ``Format`` for each family of suffixes.
+The core reads no format itself and knows no mesh library. A distribution that does declares, in the
+entry-point group ``equimesh.adapters``, one ``Format`` for each family of files or objects.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from equimesh.result import Result
 
 __all__ = [
-    "GROUP", "Format", "TriangleMesh", "formats", "in_projection", "in_space", "load", "load_mesh",
-    "save", "writer",
+    "GROUP", "Format", "TriangleMesh", "families", "family_of", "files_of", "formats",
+    "in_projection", "in_space", "load", "load_mesh", "remesh", "save", "writer",
 ]  # fmt: skip
 
 GROUP = "equimesh.adapters"
@@ -41,7 +41,7 @@ class TriangleMesh(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Format:
-    """A family of files.
+    """A family of files, of objects, or of both.
 
     Parameters
     ----------
@@ -53,33 +53,87 @@ class Format:
     write
         To a path, which is a draft that is moved into place afterwards; None where results cannot
         be kept in such a file.
+    bands
+        Whether ``read`` takes a ``band``, counted from 1 or None.
+    types
+        Classes of objects as their users write them, package and class, such as
+        ``("trimesh.Trimesh",)``, in whichever module of the package they are defined. They are
+        compared as text, with those of base classes too, so no library need be imported.
+    to_field
+        From such an object, and keywords such as ``up``, to a field.
+    remesh
+        From such an object, a tolerance and keywords to an object of the same kind.
     """
 
-    suffixes: tuple[str, ...]
-    read: Callable[[Path], TriangleMesh | Field]
+    suffixes: tuple[str, ...] = ()
+    read: Callable[..., TriangleMesh | Field] | None = None
     write: Callable[[Path, Result], None] | None = None
+    bands: bool = False
+    types: tuple[str, ...] = ()
+    to_field: Callable[..., Field] | None = None
+    remesh: Callable[..., Any] | None = None
+
+
+def families() -> list[Format]:
+    """All adapters that are installed and whole, in the order of their names."""
+    found: list[Format] = []
+    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
+        try:
+            family: Format = entry.load()
+        except (ImportError, AttributeError) as error:
+            warnings.warn(f"The adapter {entry.name} is left out: {error}", stacklevel=3)
+            continue
+        found.append(family)
+    return found
 
 
 def formats() -> dict[str, Format]:
     """Every known suffix with its format; of two adapters for one suffix, the first by name."""
     table: dict[str, Format] = {}
-    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
-        try:
-            family: Format = entry.load()
-        except (ImportError, AttributeError) as error:
-            warnings.warn(f"The adapter {entry.name} is left out: {error}", stacklevel=2)
-            continue
+    for family in families():
         for suffix in family.suffixes:
             table.setdefault(suffix, family)
     return table
 
 
-def load(path: str | Path, *, up: Any = None) -> Field:
-    """The file as a field: a triangle mesh becomes a ``Surface``, seen along ``up``.
+def family_of(thing: object) -> Format:
+    """The adapter for an object: that of its own class, else of the nearest base class.
 
-    Raises InputError, saying in one sentence what is wrong with the file.
+    Raises InputError where no adapter names its type.
     """
-    content = _read(Path(path))
+    table: dict[str, Format] = {}
+    for family in families():
+        for name in family.types:
+            table.setdefault(name, family)
+    for kind in type(thing).__mro__:
+        package = kind.__module__.partition(".")[0]
+        for name in (f"{kind.__module__}.{kind.__qualname__}", f"{package}.{kind.__qualname__}"):
+            if name in table:
+                return table[name]
+    raise InputError(
+        f"A {type(thing).__name__} is of no known type: use one of {', '.join(sorted(table))}."
+    )
+
+
+def load(source: Any, *, up: Any = None, band: int | None = None, **options: Any) -> Field:
+    """A file, by its name, or an object of a mesh library as a field.
+
+    A triangle mesh becomes a ``Surface``, seen along ``up``. Of a raster with several bands,
+    ``band`` chooses one, counted from 1. Further ``options`` go to the adapter of an object.
+
+    Raises InputError, saying in one sentence what is wrong with the file or the object.
+    """
+    if not isinstance(source, (str, Path)):
+        family = family_of(source)
+        if family.to_field is None:
+            raise InputError(f"A {type(source).__name__} cannot be read as a surface: save it.")
+        given = {"up": up, "band": band}
+        options |= {name: value for name, value in given.items() if value is not None}
+        return family.to_field(source, **options)
+    path = Path(source)
+    if options:
+        raise InputError(f"{next(iter(options))}= is for objects: leave it out for files.")
+    content = _read(path, band)
     if isinstance(content, TriangleMesh):
         points = content.points
         if points.shape[1] == 2:
@@ -88,6 +142,25 @@ def load(path: str | Path, *, up: Any = None) -> Field:
     if up is not None:
         raise InputError(f"{path} is not a triangle surface: leave out the direction `up`.")
     return content
+
+
+def remesh(source: Any, tol: float | str | None = None, **options: Any) -> Any:
+    """``equimesh.remesh`` for a file or an object of a mesh library; ``options`` are passed on.
+
+    An object gives one of the same kind, with what its adapter carries over; a file, by its name, a
+    ``Result`` in the coordinates of the file. Of a file, ``up`` and ``band`` choose as in ``load``.
+
+    Raises InputError where there is no adapter, and where the input cannot be meshed.
+    """
+    if not isinstance(source, (str, Path)):
+        family = family_of(source)
+        if family.remesh is None:
+            raise InputError(f"There is no remesh for a {type(source).__name__}: load it instead.")
+        return family.remesh(source, tol, **options)
+    from equimesh.remesh import remesh as remesh_field
+
+    field = load(source, up=options.pop("up", None), band=options.pop("band", None))
+    return in_space(remesh_field(field, tol, **options), field)
 
 
 def load_mesh(path: str | Path) -> TriangleMesh:
@@ -119,11 +192,24 @@ def in_projection(points: NDArray[np.float64], field: Field) -> NDArray[np.float
 
 
 def save(path: str | Path, result: Result) -> None:
-    """Write a result in the format of the suffix; the file appears complete or not at all."""
-    target = Path(path)
-    write = writer(target)
-    with staged([target]) as (draft,):
-        write(draft, result)
+    """Write a result in the format of the suffix; the file appears complete or not at all.
+
+    Where the source told its coordinate reference system, a ``.prj`` file beside it says so.
+    """
+    files = files_of(Path(path), result)
+    with staged(list(files)) as drafts:
+        for draft, write in zip(drafts, files.values(), strict=True):
+            write(draft)
+
+
+def files_of(path: Path, result: Result) -> dict[Path, Callable[[Path], object]]:
+    """The files that a result goes into, each with what writes it to a draft."""
+    write = writer(path)
+    files: dict[Path, Callable[[Path], object]] = {path: lambda draft: write(draft, result)}
+    prj = result.metadata.get("prj")
+    if prj:
+        files[path.with_suffix(".prj")] = lambda draft: draft.write_text(prj, encoding="utf-8")
+    return files
 
 
 def writer(path: Path) -> Callable[[Path, Result], None]:
@@ -135,19 +221,21 @@ def writer(path: Path) -> Callable[[Path, Result], None]:
     return family.write
 
 
-def _read(path: Path) -> TriangleMesh | Field:
+def _read(path: Path, band: int | None = None) -> TriangleMesh | Field:
     table = formats()
     if path.is_dir():
         raise InputError(f"{path} is a folder: give a file.")
     if not path.is_file():
         raise InputError(f"There is no file {path}: check the name.")
     family = table.get(path.suffix.lower())
-    if family is None:
-        raise _unknown(path, list(table))
+    if family is None or family.read is None:
+        raise _unknown(path, [suffix for suffix, family in table.items() if family.read])
     if path.stat().st_size == 0:
         raise InputError(f"The file {path} is empty: give another one.")
+    if band is not None and not family.bands:
+        raise InputError(f"{path} has no bands: leave out the band.")
     try:
-        content = family.read(path)
+        content = family.read(path, band) if family.bands else family.read(path)
         return _sound(path, content) if isinstance(content, TriangleMesh) else content
     except InputError:
         raise

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +23,17 @@ class Status(enum.Enum):
         "the error exceeds the tolerance in places: the surface may have a jump or finer detail "
         "than double precision resolves there; raise the tolerance or cut the domain along the jump"
     )
+    UNIT = "at least 98 % of the edges have a metric length from 1/sqrt(2) to sqrt(2)"
+    NOT_UNIT = (
+        "fewer than 98 % of the edges have a metric length from 1/sqrt(2) to sqrt(2): the metric "
+        "turns or grows too fast for its own edges, or the domain is thinner than they are; scale "
+        "it to shorter edges or limit its growth with gradation()"
+    )
 
     @property
     def ok(self) -> bool:
-        """Whether the tolerance is met."""
-        return self is Status.CONVERGED
+        """Whether the tolerance is met, or the mesh is unit in its metric."""
+        return self in (Status.CONVERGED, Status.UNIT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +77,9 @@ class Result:
         Whether the tolerance is met, and what to do if not.
     timings
         Seconds by stage.
+    metadata
+        What the source knows beside its heights and a mesh should keep: of a raster ``crs``, its
+        coordinate reference system as text, and ``prj``, the same as Esri writes it.
     """
 
     points: NDArray[np.float64]
@@ -82,6 +93,7 @@ class Result:
     input_size: str
     timings: dict[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    metadata: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def efficiency(self) -> float:
