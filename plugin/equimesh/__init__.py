@@ -9,6 +9,7 @@ from equimesh.flatness import Flatness, flatness
 from equimesh.profile import Profile, profile
 from equimesh.remesh import remesh
 from equimesh.result import Boundary, Result, Status
+from equimesh.riemann.metric import Metric
 from equimesh.transform import FlatMap
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Flatness",
     "Function",
     "InputError",
+    "Metric",
     "Profile",
     "Raster",
     "Result",

@@ -30,10 +30,14 @@ class Frame:
         (2,) float, the user's coordinates of the local origin.
     matrix
         (2, 2) float, its columns the local axes in the user's units.
+    snap
+        Local coordinates nearer than this to a whole number become that number: what the user's
+        large numbers cannot tell from a sample of a raster is that sample.
     """
 
     origin: Array
     matrix: Array
+    snap: float = 0.0
 
     def __post_init__(self) -> None:
         size = float(np.abs(self.matrix).max())
@@ -61,7 +65,11 @@ class Frame:
 
     def to_local(self, user: Array) -> Array:
         """(n, 2) user's to (n, 2) local coordinates."""
-        return np.asarray((user - self.origin) @ np.linalg.inv(self.matrix).T)
+        local = np.asarray((user - self.origin) @ np.linalg.inv(self.matrix).T)
+        if self.snap > 0.0:
+            whole = np.rint(local)
+            local = np.where(np.abs(local - whole) <= self.snap, whole, local)
+        return local
 
     def geometry_to_local(self, geometry: shapely.Geometry) -> shapely.Geometry:
         """A shapely geometry in the user's coordinates, carried to local ones."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from equimesh.fields import as_field
 from equimesh.fields.base import Field
 
 if TYPE_CHECKING:
-    from equimesh.fields import Source
+    from equimesh.fields import Bound, Source
 
 __all__ = ["Profile", "profile", "profile_of"]
 
@@ -31,6 +32,8 @@ class Profile:
         (m,) upper bounds of the same.
     points, triangles
         (n, 3) and (m, 3), the mesh that was measured.
+    over
+        Where errors count: ``"surface"``, everywhere, or ``"samples"``, at a raster's samples.
 
     Examples
     --------
@@ -44,6 +47,7 @@ class Profile:
     bounds: NDArray[np.float64]
     points: NDArray[np.float64]
     triangles: NDArray[np.int64]
+    over: str = "surface"
 
     @property
     def max(self) -> float:
@@ -58,6 +62,16 @@ class Profile:
     def quantile(self, q: float) -> float:
         """The error that a share ``q`` of the triangles does not exceed (0.5: the median)."""
         return float(np.quantile(self.errors, q)) if len(self.errors) else 0.0
+
+    @cached_property
+    def angles(self) -> NDArray[np.float64]:
+        """(m,) the smallest angle of each triangle seen from above, in degrees."""
+        corners = self.points[self.triangles, :2]
+        one = np.roll(corners, -1, axis=1) - corners
+        other = np.roll(corners, 1, axis=1) - corners
+        cross = np.abs(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])
+        angles = np.arctan2(cross, (one * other).sum(axis=-1))
+        return np.asarray(np.degrees(angles.min(axis=1, initial=np.pi)))
 
     def plot(self, ax: Any = None) -> Any:
         """Draw errors in ascending order, as the paper does; returns the matplotlib axes."""
@@ -74,10 +88,13 @@ def profile_of(
 ) -> Profile:
     """The profile of a mesh with heights (n, 3) against a field, told apart at ``limit``."""
     errors, bounds = field.errors(points, triangles, limit)
-    return Profile(errors, np.maximum(bounds, errors), points, triangles)
+    over = getattr(field, "bound", "surface")
+    return Profile(errors, np.maximum(bounds, errors), points, triangles, over)
 
 
-def profile(points: ArrayLike, triangles: ArrayLike, source: Source) -> Profile:
+def profile(
+    points: ArrayLike, triangles: ArrayLike, source: Source, bound: Bound | None = None
+) -> Profile:
     """Measure any triangle mesh against a surface.
 
     Parameters
@@ -88,6 +105,8 @@ def profile(points: ArrayLike, triangles: ArrayLike, source: Source) -> Profile:
         (m, 3) indices, in either orientation.
     source
         What ``remesh`` takes: callable, expression, 2-D array or field.
+    bound
+        For rasters: ``"surface"`` or ``"samples"``, see ``Raster``.
 
     Raises
     ------
@@ -107,7 +126,7 @@ def profile(points: ArrayLike, triangles: ArrayLike, source: Source) -> Profile:
     if not np.isfinite(p[used]).all():
         raise InputError("The mesh has coordinates that are not finite: remove those vertices.")
     box = shapely.box(*p[used, :2].min(0), *p[used, :2].max(0))
-    field = as_field(source, box)
+    field = as_field(source, box, bound)
     if p.shape[1] == 2:
         z = np.zeros(len(p))
         z[used] = field.value(p[used, 0], p[used, 1])

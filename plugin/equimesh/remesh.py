@@ -14,7 +14,7 @@ import shapely
 
 from equimesh.domain import DomainLike, domain_geometry, sides_of
 from equimesh.errors import Cancelled, InputError
-from equimesh.fields import Field, Source, as_field
+from equimesh.fields import Bound, Field, Source, as_field
 from equimesh.first_mesh import first_mesh
 from equimesh.metric import lower_bound
 from equimesh.optimise.driver import EFFORTS, optimise, repair
@@ -22,6 +22,7 @@ from equimesh.optimise.mesh import Mesh
 from equimesh.outcome import user_mesh
 from equimesh.profile import profile_of
 from equimesh.result import Result, Status
+from equimesh.riemann.metric import Metric
 
 __all__ = ["Effort", "Fit", "Progress", "remesh"]
 
@@ -56,7 +57,7 @@ class _Stages:
 
 
 def remesh(
-    source: Source,
+    source: Source | Metric,
     tol: float | str | None = None,
     domain: DomainLike = None,
     *,
@@ -66,6 +67,7 @@ def remesh(
     seed: int = 0,
     progress: Progress | None = None,
     constraints: Sequence[Any] = (),
+    bound: Bound | None = None,
 ) -> Result:
     """The mesh with few triangles that represents a surface to within a tolerance.
 
@@ -90,6 +92,9 @@ def remesh(
         Same input and seed give the same bytes.
     progress
         Called as ``progress(stage, fraction)``; returning False cancels (``Cancelled`` is raised).
+    bound
+        For rasters: ``"surface"``, the error counts everywhere on the bilinear surface (so it does
+        if nothing is said), or ``"samples"``, at the samples only.
 
     Returns
     -------
@@ -106,18 +111,25 @@ def remesh(
     >>> result.status.ok, result.profile.bound <= 0.01
     (True, True)
     """
+    if isinstance(source, Metric):
+        from equimesh.riemann.remesh import remesh_metric
+
+        return remesh_metric(
+            source, tol, domain, target=target, fit=fit, effort=effort, seed=seed,
+            progress=progress, constraints=constraints,
+        )  # fmt: skip
     _check_options(tol, target, fit, effort, seed, constraints)
     if target is not None:
         from equimesh.target import remesh_to_target
 
         return remesh_to_target(
-            source, int(target), domain, effort=effort, seed=seed, progress=progress
+            source, int(target), domain, effort=effort, seed=seed, progress=progress, bound=bound
         )
     assert tol is not None
     stages = _Stages(progress)
     with stages.stage("field"):
         geometry = None if domain is None else domain_geometry(domain)
-        surface = as_field(source, geometry)
+        surface = as_field(source, geometry, bound)
         whole = geometry if geometry is not None else surface.outline(0.0)
         height = tolerance(tol, surface, whole)
         covered = _covered(surface, geometry, height)
@@ -139,21 +151,22 @@ def remesh(
         with stages.stage("certify"):
             points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface)
             profile = profile_of(surface, points, triangles, height)
-    bound = math.nan
+    least = math.nan
     if surface.smooth:
-        bound = _lower_bound(surface, kernel, mesh, height)
+        least = _lower_bound(surface, kernel, mesh, height)
     return Result(
         points=points,
         triangles=triangles,
         boundary=boundary,
         profile=profile,
         tol=height,
-        lower_bound=bound,
+        lower_bound=least,
         status=Status.CONVERGED if profile.bound <= height else Status.NOT_CONVERGED,
         seed=seed,
         input_size=surface.size,
         timings=stages.seconds,
         notes=tuple(getattr(surface, "notes", ())),
+        metadata=dict(getattr(surface, "metadata", {})),
     )
 
 

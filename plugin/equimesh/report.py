@@ -8,6 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ def of_result(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
     return {
         "status": result.status.name.lower(),
         "tol": result.tol,
+        "bound": result.profile.over,
         **_of_mesh(result.profile),
         "lower_bound": result.lower_bound,
         "efficiency": result.efficiency,
@@ -43,9 +45,17 @@ def of_result(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
-def of_profile(profile: Profile, seconds: Mapping[str, float]) -> dict[str, Any]:
-    """What ``--report`` writes about a mesh that came from elsewhere."""
-    return {**_of_mesh(profile), "seconds": dict(seconds), "version": installed_version()}
+def of_profile(
+    profile: Profile, seconds: Mapping[str, float], at_samples: Profile | None = None
+) -> dict[str, Any]:
+    """What ``--report`` writes about a mesh that came from elsewhere.
+
+    ``at_samples``: the same mesh measured at the samples of a raster only.
+    """
+    figures = {"bound": profile.over, **_of_mesh(profile)}
+    if at_samples is not None:
+        figures["max_error_at_samples"] = at_samples.max
+    return {**figures, "seconds": dict(seconds), "version": installed_version()}
 
 
 def _of_mesh(profile: Profile) -> dict[str, Any]:
@@ -54,8 +64,13 @@ def _of_mesh(profile: Profile) -> dict[str, Any]:
         "vertices": len(profile.points),
         "max_error": profile.max,
         "error_bound": profile.bound,
-        "quantiles": {f"{q:g}": float(np.quantile(profile.errors, q)) for q in QUANTILES},
+        "quantiles": _quantiles(profile.errors),
+        "smallest_angles": _quantiles(profile.angles),
     }
+
+
+def _quantiles(values: NDArray[np.float64]) -> dict[str, float]:
+    return {f"{q:g}": float(np.quantile(values, q)) for q in QUANTILES}
 
 
 def as_json(report: Mapping[str, Any]) -> str:
@@ -81,8 +96,15 @@ def table(report: Mapping[str, Any], source: str) -> Table:
     rows.add_row("vertices", f"{report['vertices']:,}")
     if "tol" in report:
         rows.add_row("tolerance", _number(report["tol"]))
-    rows.add_row("largest error", _number(report["max_error"]))
-    rows.add_row("bound on the error", _number(report["error_bound"]))
+    where = " at samples" if report.get("bound") == "samples" else ""
+    rows.add_row(f"largest error{where}", _number(report["max_error"]))
+    rows.add_row(f"bound on the error{where}", _number(report["error_bound"]))
+    if "max_error_at_samples" in report:
+        rows.add_row("largest error at samples", _number(report["max_error_at_samples"]))
+    if "smallest_angles" in report:
+        angles = report["smallest_angles"]
+        three = " / ".join(f"{angles[q]:.3g}" for q in ("0", "0.05", "0.5"))
+        rows.add_row("smallest angles, least / 5 % / median", f"{three} degrees")
     if "lower_bound" in report:
         rows.add_row("N*, fewest possible", _number(report["lower_bound"], ",.0f"))
         rows.add_row("efficiency N*/N", _number(report["efficiency"], ".3f"))

@@ -43,7 +43,7 @@ def chord_spans(F: KernelField, a: Array, b: Array, low: float, high: float) -> 
     ``a`` and ``b`` (n, 3), local, with heights; ``low`` and ``high`` bound these and the field's.
     """
     out = np.zeros((len(a), 2))
-    _chord_spans(F, np.ascontiguousarray(a), np.ascontiguousarray(b), high - low + 1.0, out)
+    _chord_spans(F, np.ascontiguousarray(a), np.ascontiguousarray(b), _reach(low, high), out)
     return out
 
 
@@ -56,6 +56,14 @@ def border_heights(F: KernelField, domain: shapely.Geometry, low: float, high: f
     spans = [_chain_span(F, shapely.get_coordinates(ring), low, high) for ring in rings]
     found = np.ravel(spans)
     return np.asarray(found[np.isfinite(found)], np.float64)
+
+
+@compiled
+def _reach(low: float, high: float) -> float:
+    """A height that is larger than nothing, in the units of the field's own heights."""
+    if high > low:
+        return 2.0 * (high - low)
+    return abs(high) if high != 0.0 else 1.0
 
 
 @compiled
@@ -100,7 +108,7 @@ def _triangle_errors(
 @compiled
 def _chain_span(F: KernelField, chain: Array, low: float, high: float) -> tuple[float, float]:
     """Against a level chord below or above all heights, the largest error is an extreme."""
-    reach = high - low + 1.0
+    reach = _reach(low, high)
     bottom, top = math.nan, math.nan
     for k in range(len(chain) - 1):
         ax, ay, bx, by = chain[k, 0], chain[k, 1], chain[k + 1, 0], chain[k + 1, 1]

@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from equimesh.errors import InputError
 from equimesh.fields.base import Array, IntArray
 from equimesh.fields.kernel import RASTER, KernelField
 from equimesh.fields.measures import border_heights, heights, triangle_errors
-from equimesh.fields.raster_outline import cell_outline
+from equimesh.fields.raster_outline import cell_outline, simplified_outline
 from equimesh.frame import Frame
 
 if TYPE_CHECKING:
     from scipy.interpolate import RectBivariateSpline
 
-__all__ = ["Raster"]
+__all__ = ["Border", "Bound", "Raster"]
+
+Bound: TypeAlias = Literal["surface", "samples"]
+Border: TypeAlias = Literal["simplified", "cells"]
 
 _EPS = float(np.finfo(np.float64).eps)
+_STEPS = 2.0**20
 _LARGEST = 1e300  # differences of four samples must not overflow
 
 
@@ -33,21 +37,42 @@ _LARGEST = 1e300  # differences of four samples must not overflow
 class Raster:
     """The bilinear interpolant of samples at the nodes of a grid.
 
-    A cell is valid where its four corners are; the field is defined on the valid cells, their
-    sides included. Local coordinates are (column, row) of the nodes.
+    A cell is the square between four neighbouring samples. It is valid where all four are there;
+    the field is defined on the valid cells, their sides included. Local coordinates are (column,
+    row) of the samples.
 
     Parameters
     ----------
     heights
-        (rows, columns) real numbers, masked entries allowed; rows run along y. Kept as float64 with
-        NaN wherever a sample belongs to no valid cell.
+        (rows, columns) real numbers of any type, masked entries allowed; rows run along y. Kept as
+        float64 with NaN wherever a sample belongs to no valid cell.
     transform
-        Six numbers (a, b, c, d, e, f) or a rasterio ``Affine``: node (column, row) lies at
+        Six numbers (a, b, c, d, e, f) or a rasterio ``Affine``: sample (column, row) lies at
         x = a column + b row + c, y = d column + e row + f. Without it x = column and y = row.
-        Raster files store the corner of the first cell: shift by half a cell for samples at
-        cell centres.
+        Raster files store the corner of the first pixel: shift by half a pixel for samples at
+        pixel centres.
     nodata
-        The value that marks missing samples (NaN always does).
+        The value that marks missing samples, before scale and offset (NaN always does).
+    metadata
+        What a file says besides, such as its ``crs``; kept, not used.
+    bound
+        ``"surface"``: errors count everywhere on the bilinear surface. ``"samples"``: only at the
+        samples; the mesh may do what it likes between them.
+    border
+        ``"simplified"``: the mesh ends on straight lines that run between valid and missing
+        samples, with corners at valid ones. It covers every sample of a valid cell and no missing
+        one, and parts of the cells between these, where errors do not count. ``"cells"``: it covers
+        the valid cells and nothing else, a staircase.
+    scale, offset
+        Heights are ``scale`` times what is given plus ``offset``; both are applied once, and read 1
+        and 0 afterwards.
+    left_out
+        Samples that were left out since they belong to no valid cell; counted here.
+
+    Attributes
+    ----------
+    notes
+        What was left out, in words.
 
     Raises
     ------
@@ -59,11 +84,48 @@ class Raster:
     heights: Array
     transform: tuple[float, ...] | None = None
     nodata: float | None = None
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+    bound: Bound = "surface"
+    border: Border = "simplified"
+    scale: float = 1.0
+    offset: float = 0.0
+    left_out: int = 0
+    notes: tuple[str, ...] = field(init=False, default=())
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "transform", _six_numbers(self.transform))
-        object.__setattr__(self, "heights", _clean(self.heights, self.nodata))
+        if self.bound not in get_args(Bound):
+            raise InputError(f"The bound {self.bound!r} is unknown: choose surface or samples.")
+        if self.border not in get_args(Border):
+            raise InputError(f"The border {self.border!r} is unknown: choose simplified or cells.")
+        units = _linear(self.scale, self.offset)
+        heights, lost = _clean(self.heights, self.nodata, *units)
+        kept: dict[str, Any] = {
+            "transform": _six_numbers(self.transform),
+            "heights": heights,
+            "nodata": None,
+            "scale": 1.0,
+            "offset": 0.0,
+            "left_out": self.left_out + lost,
+            "notes": _notes(self.left_out + lost, self.bound),
+        }
+        for name, value in kept.items():
+            object.__setattr__(self, name, value)
         _ = self._frame  # refuses a flat grid now rather than later
+
+    def bounded(self, bound: Bound) -> Raster:
+        """The same raster, its errors counted on the surface or at the samples."""
+        return self if bound == self.bound else replace(self, bound=bound)
+
+    def in_tolerances(self, tol: float) -> tuple[Raster, float]:
+        """The same raster with heights counted from the lowest in units of ``tol``, and the lowest.
+
+        Rounded to 2^-20, about a millionth of the tolerance: whatever the units of the heights,
+        millimetres or feet, the numbers come out alike to the last bit, and so do decisions made on
+        them. User's heights are ``lowest + tol * heights``.
+        """
+        low = self._range[0]
+        heights = np.round((self.heights - low) / tol * _STEPS) / _STEPS
+        return replace(self, heights=heights), low
 
     @property
     def size(self) -> str:
@@ -119,10 +181,8 @@ class Raster:
         return np.asarray(inverse.T @ local @ inverse)
 
     def outline(self, tol: float = 0.0) -> shapely.Geometry:
-        """The union of the valid cells, exact whatever ``tol``: a staircase is kept."""
-        heights = self.heights
-        twist = heights[:-1, :-1] + heights[:-1, 1:] + heights[1:, :-1] + heights[1:, 1:]
-        return shapely.transform(cell_outline(np.isfinite(twist)), self._frame.to_user)
+        """The region to mesh, see ``border``; the union of the valid cells where ``tol`` is 0."""
+        return self._simplified if tol > 0.0 and self.border == "simplified" else self._cells
 
     def span(self, domain: shapely.Geometry) -> tuple[float, float]:
         """Extremes of the bilinear surface over the domain: at samples inside and on its border."""
@@ -147,38 +207,45 @@ class Raster:
 
     def kernel(self, domain: shapely.Geometry | None = None, tol: float = 0.0) -> KernelField:
         """The samples for compiled kernels; the same for every domain and tolerance."""
-        return self._kernel
+        if self.bound == "surface":
+            return self._kernel
+        return self._kernel._replace(frame=np.array([self._slack, 1.0]))
 
     def errors(
         self, points: Array, triangles: IntArray, limit: float = np.inf
     ) -> tuple[Array, Array]:
-        """(m,) largest |bilinear surface - triangle| anywhere on each triangle, and (m,) bounds.
+        """(m,) largest |bilinear surface - triangle| on each triangle, and (m,) bounds.
 
-        Exact up to rounding, vertices off the surface included; what lies over no valid cell is
-        ignored. The bounds add the rounding of heights and of coordinates.
+        Anywhere, or at the samples: see ``bound``. Exact up to rounding, vertices off the surface
+        included; what lies over no valid cell is ignored. The bounds add the rounding of heights
+        and of coordinates.
         """
         points = np.asarray(points, np.float64)
         local = np.column_stack([self._frame.to_local(points[:, :2]), points[:, 2]])
-        errors = triangle_errors(self._kernel, local, triangles)
+        errors = triangle_errors(self.kernel(), local, triangles)
         size = np.abs(self._range).max() + np.abs(points[triangles, 2]).max(axis=1, initial=0.0)
         return errors, errors * (1.0 + 1e-12) + 16.0 * _EPS * size + self._slack * self._steepest
 
     @cached_property
     def _frame(self) -> Frame:
         a, b, c, d, e, f = _six_numbers(self.transform)
-        return Frame(np.array([c, f]), np.array([[a, b], [d, e]]))
+        frame = Frame(np.array([c, f]), np.array([[a, b], [d, e]]))
+        return replace(frame, snap=self._rounding(frame))
 
     @cached_property
     def _range(self) -> tuple[float, float]:
         return float(np.nanmin(self.heights)), float(np.nanmax(self.heights))
 
-    @cached_property
+    @property
     def _slack(self) -> float:
+        return self._frame.snap
+
+    def _rounding(self, frame: Frame) -> float:
         """Rounding, in cells, of a point carried from the user's coordinates to local ones."""
         corners = np.array([[0.0, 0.0], self.heights.shape[::-1]])
-        size = np.abs(self._frame.to_user(corners)).max() + np.abs(self._frame.origin).max()
-        cell = np.abs(np.linalg.inv(self._frame.matrix)).sum(axis=1).max()
-        return float(8.0 * _EPS * (size * cell + max(self.heights.shape)))
+        size = np.abs(frame.to_user(corners)).max() + np.abs(frame.origin).max()
+        cell = np.abs(np.linalg.inv(frame.matrix)).sum(axis=1).max()
+        return min(float(8.0 * _EPS * (size * cell + max(self.heights.shape))), 0.25)
 
     @cached_property
     def _steepest(self) -> float:
@@ -188,7 +255,19 @@ class Raster:
 
     @cached_property
     def _kernel(self) -> KernelField:
-        return KernelField(RASTER, frame=np.array([self._slack]), grid=self.heights)
+        return KernelField(RASTER, frame=np.array([self._slack, 0.0]), grid=self.heights)
+
+    @cached_property
+    def _cells(self) -> shapely.Geometry:
+        return shapely.transform(cell_outline(_valid_cells(self.heights)), self._frame.to_user)
+
+    @cached_property
+    def _simplified(self) -> shapely.Geometry:
+        if not np.isnan(self.heights).any():
+            return self._cells
+        local = cell_outline(_valid_cells(self.heights))
+        missing = np.isnan(self.heights)
+        return shapely.transform(simplified_outline(local, missing), self._frame.to_user)
 
     @cached_property
     def _fit(self) -> RectBivariateSpline:
@@ -244,8 +323,42 @@ def _six_numbers(transform: Sequence[float] | None) -> tuple[float, ...]:
     return numbers
 
 
-def _clean(heights: ArrayLike, nodata: float | None) -> Array:
-    """(rows, columns) float64, C-contiguous, NaN where a sample belongs to no valid cell."""
+def _linear(scale: float, offset: float) -> tuple[float, float]:
+    try:
+        numbers = float(scale), float(offset)
+    except (TypeError, ValueError):
+        numbers = math.nan, math.nan
+    if not all(map(math.isfinite, numbers)) or numbers[0] == 0.0:
+        raise InputError(
+            f"Heights with scale {scale!r} and offset {offset!r} make no sense: give finite "
+            "numbers, the scale not zero."
+        )
+    return numbers
+
+
+def _notes(lost: int, bound: Bound) -> tuple[str, ...]:
+    notes = []
+    if lost:
+        plural = "s that belong" if lost > 1 else " that belongs"
+        notes.append(f"left out {lost:,} sample{plural} to no cell with four samples")
+    if bound == "samples":
+        notes.append("errors are bounded at the samples only, not between them")
+    return tuple(notes)
+
+
+def _valid_cells(heights: Array) -> NDArray[np.bool_]:
+    """(rows - 1, columns - 1) whether all four samples of a cell are there."""
+    sample = np.isfinite(heights)
+    return np.asarray(sample[:-1, :-1] & sample[:-1, 1:] & sample[1:, :-1] & sample[1:, 1:])
+
+
+def _clean(
+    heights: ArrayLike, nodata: float | None, scale: float, offset: float
+) -> tuple[Array, int]:
+    """(rows, columns) float64, C-contiguous, NaN where a sample belongs to no valid cell.
+
+    Also the number of samples that are there but belong to none.
+    """
     given: Any = np.ma.asanyarray(heights)
     if given.dtype.kind not in "iuf":
         raise InputError(
@@ -259,18 +372,24 @@ def _clean(heights: ArrayLike, nodata: float | None) -> Array:
     data = np.ma.getdata(given)
     if nodata is not None:
         missing = missing | (data == nodata)
-    out = np.where(missing, np.nan, data.astype(np.float64))
+    out = data.astype(np.float64)  # a copy
+    if scale != 1.0 or offset != 0.0:
+        with np.errstate(over="ignore"):
+            out = scale * out + offset
+    out[missing] = np.nan
     if (np.abs(out) > _LARGEST).any():
         raise InputError(
             "The raster has infinite samples: replace them, or mark them with NaN or nodata=."
         )
-    sample = np.isfinite(out)
-    cell = sample[:-1, :-1] & sample[:-1, 1:] & sample[1:, :-1] & sample[1:, 1:]
+    if not np.isnan(out).any():
+        return np.ascontiguousarray(out), 0
+    cell = _valid_cells(out)
     if not cell.any():
         raise InputError(
             "The raster has no valid cell: at least one cell needs its four corner samples."
         )
     padded = np.pad(cell, 1)
     used = padded[:-1, :-1] | padded[:-1, 1:] | padded[1:, :-1] | padded[1:, 1:]
+    lost = int(np.count_nonzero(~np.isnan(out) & ~used))
     out[~used] = np.nan
-    return np.ascontiguousarray(out)
+    return np.ascontiguousarray(out), lost

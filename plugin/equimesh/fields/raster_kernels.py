@@ -9,6 +9,8 @@ so f minus a linear function has no extremum inside a cell (its Hessian is indef
 error over a triangle is attained at a sample or on an edge of the triangle, and along an edge it is
 a quadratic with second derivative 2 w dx dy in every cell that the edge crosses.
 ``F.frame[0]`` is the rounding of coordinates, in cells: the field is closed within it.
+``F.frame[1]`` is 1 where errors count at the samples only: then edges have none, and the samples on
+them are found with those inside.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from equimesh.fields.compiled import compiled
+from equimesh.fields.compiled import compiled, inlined
 from equimesh.fields.kernel import KernelField
 
 __all__ = [
@@ -76,38 +78,45 @@ def _cell_along(
 
 
 @compiled
-def _cell_of(F: KernelField, x: float, y: float) -> tuple[int, int]:
+def _cell_of(grid: Array, slack: float, x: float, y: float) -> tuple[int, int]:
     """The valid cell of a point; (-1, -1) outside the field."""
-    rows, columns = F.grid.shape
-    slack = F.frame[0]
+    rows, columns = grid.shape
     inside = -slack <= x <= columns - 1 + slack and -slack <= y <= rows - 1 + slack
     if not inside:
         return -1, -1
     i = min(max(math.floor(x), 0), columns - 2)
     j = min(max(math.floor(y), 0), rows - 2)
-    return _cell_along(F.grid, slack, i, j, x, y, x, y)  # type: ignore[no-any-return]
+    return _cell_along(grid, slack, i, j, x, y, x, y)  # type: ignore[no-any-return]
+
+
+@inlined
+def value(F: KernelField, x: float, y: float) -> float:
+    """Height of the bilinear surface; NaN outside the valid cells."""
+    return _height(F.grid, F.frame[0], x, y)  # type: ignore[no-any-return]
 
 
 @compiled
-def value(F: KernelField, x: float, y: float) -> float:
-    """Height of the bilinear surface; NaN outside the valid cells."""
-    i, j = _cell_of(F, x, y)
+def _height(grid: Array, slack: float, x: float, y: float) -> float:
+    i, j = _cell_of(grid, slack, x, y)
     if i < 0:
         return math.nan
-    grid = F.grid
     u, v = x - i, y - j
     low = grid[j, i] + u * (grid[j, i + 1] - grid[j, i])
     high = grid[j + 1, i] + u * (grid[j + 1, i + 1] - grid[j + 1, i])
     return low + v * (high - low)  # type: ignore[no-any-return]
 
 
-@compiled
+@inlined
 def gradient(F: KernelField, x: float, y: float) -> tuple[float, float]:
     """Gradient of the bilinear surface in the point's cell (jumps at grid lines); NaN outside."""
-    i, j = _cell_of(F, x, y)
+    return _slopes(F.grid, F.frame[0], x, y)  # type: ignore[no-any-return]
+
+
+@compiled
+def _slopes(grid: Array, slack: float, x: float, y: float) -> tuple[float, float]:
+    i, j = _cell_of(grid, slack, x, y)
     if i < 0:
         return math.nan, math.nan
-    grid = F.grid
     w = _twist(grid, i, j)
     gx = grid[j, i + 1] - grid[j, i] + (y - j) * w
     gy = grid[j + 1, i] - grid[j, i] + (x - i) * w
@@ -125,7 +134,7 @@ def _clip(p: float, d: float, low: float, high: float, t0: float, t1: float) -> 
     return max(t0, ta), min(t1, tb)
 
 
-@compiled
+@inlined
 def edge_error(
     F: KernelField,
     ax: float,
@@ -138,11 +147,28 @@ def edge_error(
 ) -> tuple[float, float]:
     """Signed surface minus chord of largest magnitude on a-b, and where in [0, 1].
 
-    Walks the cells that the segment crosses; exact up to rounding. Parts over invalid cells are
-    ignored. Returns early with any point whose |error| exceeds ``stop``.
+    Exact up to rounding. Parts over invalid cells are ignored. Returns early with any point whose
+    |error| exceeds ``stop``.
     """
-    grid = F.grid
-    slack = F.frame[0]
+    return _edge_error(F.grid, F.frame[0], F.frame[1], ax, ay, az, bx, by, bz, stop)  # type: ignore[no-any-return]
+
+
+@compiled
+def _edge_error(
+    grid: Array,
+    slack: float,
+    at_samples: float,
+    ax: float,
+    ay: float,
+    az: float,
+    bx: float,
+    by: float,
+    bz: float,
+    stop: float,
+) -> tuple[float, float]:
+    """Walks the cells that the segment crosses."""
+    if at_samples != 0.0:
+        return 0.0, 0.5
     rows, columns = grid.shape
     dx, dy, dz = bx - ax, by - ay, bz - az
     t, end = 0.0, 1.0
@@ -187,11 +213,11 @@ def edge_error(
                 w = _twist(grid, ci, cj)
             else:  # an end of the edge may still touch a valid cell
                 if t == 0.0:
-                    e0 = value(F, ax, ay) - az
+                    e0 = _height(grid, slack, ax, ay) - az
                     if abs(e0) > worst:
                         best, worst, where = e0, abs(e0), 0.0
                 if t1 == 1.0:
-                    e1 = value(F, bx, by) - bz
+                    e1 = _height(grid, slack, bx, by) - bz
                     if abs(e1) > worst:
                         best, worst, where = e1, abs(e1), 1.0
         if ci >= 0:
@@ -240,7 +266,7 @@ def _inverse(length: float) -> float:
     return 1.0 / length if length > 1e-290 else 0.0
 
 
-@compiled
+@inlined
 def inner_error(
     F: KernelField,
     ax: float,
@@ -256,10 +282,30 @@ def inner_error(
 ) -> tuple[float, float, float]:
     """Signed surface minus triangle of largest magnitude at the samples inside, and its place.
 
-    Every row is cut by two edges; heights are interpolated between the two cuts, which stays
-    accurate for slivers. (0.0, centroid) if there is no sample inside.
+    Samples on the edges, within rounding, count as inside. (0.0, centroid) if there is none.
     """
-    grid = F.grid
+    return _inner_error(  # type: ignore[no-any-return]
+        F.grid, F.frame[0], ax, ay, az, bx, by, bz, cx, cy, cz, stop
+    )
+
+
+@compiled
+def _inner_error(
+    grid: Array,
+    slack: float,
+    ax: float,
+    ay: float,
+    az: float,
+    bx: float,
+    by: float,
+    bz: float,
+    cx: float,
+    cy: float,
+    cz: float,
+    stop: float,
+) -> tuple[float, float, float]:
+    """Every row is cut by two edges, and heights are interpolated between the two cuts, which stays
+    accurate for slivers. Both triangles of an edge cut it alike: no sample falls between them."""
     rows, columns = grid.shape
     px, py = (ax + bx + cx) / 3.0, (ay + by + cy) / 3.0
     best, worst = 0.0, 0.0
@@ -271,21 +317,24 @@ def inner_error(
         if by < ay:
             ax, ay, az, bx, by, bz = bx, by, bz, ax, ay, az
     per_ac, per_ab, per_bc = _inverse(cy - ay), _inverse(by - ay), _inverse(cy - by)
-    for j in range(max(math.ceil(ay), 0), min(math.floor(cy), rows - 1) + 1):
-        p = min((j - ay) * per_ac, 1.0)
+    top = min(math.floor(cy + slack), rows - 1)
+    for j in range(max(math.ceil(ay - slack), 0), top + 1):
+        p = min(max((j - ay) * per_ac, 0.0), 1.0)
         x0, z0 = ax + p * (cx - ax), az + p * (cz - az)
         if j < by:
-            q = min((j - ay) * per_ab, 1.0)
+            q = min(max((j - ay) * per_ab, 0.0), 1.0)
             x1, z1 = ax + q * (bx - ax), az + q * (bz - az)
         else:
             q = min((j - by) * per_bc, 1.0)
             x1, z1 = bx + q * (cx - bx), bz + q * (cz - bz)
         if x1 < x0:
             x0, z0, x1, z1 = x1, z1, x0, z0
-        first, last = max(math.ceil(x0), 0), min(math.floor(x1), columns - 1)
+        first = max(math.ceil(x0 - slack), 0)
+        last = min(math.floor(x1 + slack), columns - 1)
         if first > last:
             continue
-        slope = (z1 - z0) * _inverse(x1 - x0)
+        width = x1 - x0
+        slope = (z1 - z0) * _inverse(width) if width > 64.0 * slack else 0.0
         for i in range(first, last + 1):
             e = grid[j, i] - (z0 + (i - x0) * slope)
             if abs(e) > worst:

@@ -15,9 +15,10 @@ from equimesh.fields.base import Array, IntArray
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.measures import border_heights, chord_spans, heights, triangle_errors
 from equimesh.fields.surface_fit import Derivatives, fit_quadratics, interpolate
+from equimesh.fields.surface_holes import filled, hole_size
 from equimesh.fields.surface_index import index_surface
 from equimesh.fields.surface_outline import Border
-from equimesh.fields.surface_repair import Graph, as_graph
+from equimesh.fields.surface_repair import Graph, as_graph, joined
 from equimesh.frame import Frame
 
 __all__ = ["Surface"]
@@ -29,8 +30,8 @@ _EPS = float(np.finfo(np.float64).eps)
 class Surface:
     """A triangle surface that is a graph over a plane: linear on every triangle.
 
-    Vertices at the same place are merged, triangles without area ignored and windings made alike;
-    ``notes`` tells what was done.
+    Vertices at the same place are merged, triangles without area ignored, triangles that hang on an
+    edge of two others left out and windings made alike; ``notes`` tells what was done.
 
     Parameters
     ----------
@@ -42,6 +43,10 @@ class Surface:
     up
         The direction of heights: three numbers, or ``"x"``, ``"y"``, ``"z"``. Without it z if the
         surface is a graph over x and y, else the mean normal (weighted by area).
+    fill_holes
+        Holes up to this area, seen along the heights, are closed by triangles between the vertices
+        of their rims; so are, with text such as ``"40 edges"``, those with at most so many edges,
+        and all with ``"all"``. Holes stay without it.
 
     Raises
     ------
@@ -53,11 +58,16 @@ class Surface:
     points: Array
     triangles: IntArray
     up: Any = None
+    fill_holes: float | str = 0.0
     notes: tuple[str, ...] = field(init=False, default=())
     _graph: Graph = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        size = hole_size(self.fill_holes)
         graph = as_graph(self.points, self.triangles, self.up)
+        if size[0] > 0.0:
+            border = Border.of(graph)
+            graph = joined(filled(graph, border.rings, border.outer, size))
         object.__setattr__(self, "_graph", graph)
         object.__setattr__(self, "points", graph.points)
         object.__setattr__(self, "triangles", graph.triangles[~graph.flat])
@@ -73,14 +83,22 @@ class Surface:
     def smooth(self) -> bool:
         """Whether quadratics fit the surface far better than planes do.
 
-        Both are fitted to the neighbours of every vertex up to the second ring. What they leave
-        goes like h^3 and h^2 for vertices on a smooth surface, but is alike for noise and
-        kinks. Smooth: root mean squares in a ratio below 0.35.
+        Both are fitted to the neighbours of vertices, of some 20,000 at most, up to the second
+        ring. What they leave goes like h^3 and h^2 for vertices on a smooth surface, but is alike
+        for noise and kinks. Smooth: root mean squares in a ratio below 0.35.
         """
-        linear, quadratic = self._derivatives.misfit
+        every = 1 + len(self._kernel.points) // 20_000
+        linear, quadratic = self._fitted(every).misfit
         if linear <= 64.0 * _EPS * np.abs(self._range).max():
             return True  # a plane
         return quadratic < 0.35 * linear
+
+    def closed(self, size: float | str) -> Surface:
+        """The same surface with its holes up to a size closed, see ``fill_holes``."""
+        up = self._graph.rotation[2]
+        again = Surface(self.to_input(self.points), self.triangles, up, size)
+        object.__setattr__(again, "notes", (*self.notes, *again.notes))
+        return again
 
     def to_input(self, points: Array) -> Array:
         """(n, 3) points (x, y, height) in the coordinates of the input."""
@@ -172,10 +190,13 @@ class Surface:
 
     @cached_property
     def _derivatives(self) -> Derivatives:
-        """At the kernel's vertices, in the user's coordinates."""
+        return self._fitted(1)
+
+    def _fitted(self, every: int) -> Derivatives:
+        """At the kernel's vertices or some of them, in the user's coordinates."""
         points = self._kernel.points.copy()
         points[:, :2] = self._frame.to_user(points[:, :2])
-        return fit_quadratics(points, self._kernel.triangles[:, :3])
+        return fit_quadratics(points, self._kernel.triangles[:, :3], every)
 
     def _sag(self, a: Array, b: Array) -> Array:
         """(n, 2) least and largest of surface - chord, or 0, on chords from a to b, (n, 3)."""

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
-from equimesh.fields.base import Array
+from equimesh.fields.base import Array, IntArray
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.surface_kernels import locate
 
@@ -29,29 +29,33 @@ class Derivatives(NamedTuple):
     misfit: tuple[float, float]  # root mean squares that linear and quadratic fits leave
 
 
-def fit_quadratics(points: Array, triangles: Int32Array) -> Derivatives:
+def fit_quadratics(points: Array, triangles: Int32Array, every: int = 1) -> Derivatives:
     """Least-squares quadratics through each vertex's neighbours up to the second ring.
 
     ``points`` (n, 3), ``triangles`` (m, 3). Vertices with fewer than six points within reach
     take in the third ring and the fourth; what these leave open is set to zero (least norm).
+    With ``every`` only each so manyth vertex gets its quadratic.
     """
     count = len(points)
+    centre = np.arange(0, count, every)
     i = triangles.reshape(-1).astype(np.int64)
     j = np.roll(triangles, -1, axis=1).reshape(-1).astype(np.int64)
     near = sparse.csr_array((np.ones(len(i), bool), (i, j)), shape=(count, count))
     near = near + near.T + sparse.eye_array(count, dtype=bool, format="csr")
-    ring = near @ near
+    ring = near[centre] @ near
     for _ in range(2):
         few = np.flatnonzero(np.diff(ring.indptr) < 6)
-        pick = sparse.csr_array((np.ones(len(few), bool), (few, few)), shape=(count, count))
+        pick = sparse.csr_array(
+            (np.ones(len(few), bool), (few, few)), shape=(len(centre), len(centre))
+        )
         ring = ring + pick @ ring @ near
     start, neighbour = ring.indptr, ring.indices
-    normal, right, scale = _normal_equations(points, start, neighbour)
-    quadratic, linear = _solve(normal, right), np.zeros((count, 6))
+    normal, right, scale = _normal_equations(points, centre, start, neighbour)
+    quadratic, linear = _solve(normal, right), np.zeros((len(centre), 6))
     linear[:, :3] = _solve(normal[:, :3, :3], right[:, :3])
     misfit = (
-        float(_misfit(points, start, neighbour, scale, linear)),
-        float(_misfit(points, start, neighbour, scale, quadratic)),
+        float(_misfit(points, centre, start, neighbour, scale, linear)),
+        float(_misfit(points, centre, start, neighbour, scale, quadratic)),
     )
     gradient = quadratic[:, 1:3] / scale[:, None]
     second = quadratic[:, 3:] / scale[:, None] ** 2
@@ -73,22 +77,22 @@ def _set_terms(term: Array, u: float, v: float) -> None:
 
 @njit(cache=True, nogil=True)
 def _normal_equations(
-    points: Array, start: Int32Array, neighbour: Int32Array
+    points: Array, centre: IntArray, start: Int32Array, neighbour: Int32Array
 ) -> tuple[Array, Array, Array]:
     """Per vertex: (n, 6, 6), (n, 6) and the length that scales u and v, its distance to neighbours.
 
     For 1, u, v, u^2/2, u v, v^2/2 and heights above the vertex.
     """
-    count = len(points)
+    count = len(centre)
     normal, right = np.zeros((count, 6, 6)), np.zeros((count, 6))
     scale = np.full(count, 1e-290)
     term = np.zeros(6)
     for i in range(count):
         for item in range(start[i], start[i + 1]):
             for k in range(2):
-                scale[i] = max(scale[i], abs(points[neighbour[item], k] - points[i, k]))
+                scale[i] = max(scale[i], abs(points[neighbour[item], k] - points[centre[i], k]))
         for item in range(start[i], start[i + 1]):
-            x, y, z = points[neighbour[item]] - points[i]
+            x, y, z = points[neighbour[item]] - points[centre[i]]
             _set_terms(term, x / scale[i], y / scale[i])
             for k in range(6):
                 right[i, k] += term[k] * z
@@ -99,14 +103,19 @@ def _normal_equations(
 
 @njit(cache=True, nogil=True)
 def _misfit(
-    points: Array, start: Int32Array, neighbour: Int32Array, scale: Array, fit: Array
+    points: Array,
+    centre: IntArray,
+    start: Int32Array,
+    neighbour: Int32Array,
+    scale: Array,
+    fit: Array,
 ) -> float:
     """Root mean square of what the fits (n, 6) leave, over all vertices and their neighbours."""
     total = 0.0
     term = np.zeros(6)
-    for i in range(len(points)):
+    for i in range(len(centre)):
         for item in range(start[i], start[i + 1]):
-            x, y, z = points[neighbour[item]] - points[i]
+            x, y, z = points[neighbour[item]] - points[centre[i]]
             _set_terms(term, x / scale[i], y / scale[i])
             for k in range(6):
                 z -= fit[i, k] * term[k]

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from equimesh.errors import InputError
 from equimesh.fields.base import Array, IntArray
-from equimesh.fields.surface_repair import Graph
+from equimesh.fields.surface_repair import Graph, place
 from equimesh.fields.surface_topology import opposites, trace_rings
 
 __all__ = ["Border"]
@@ -149,10 +149,15 @@ class Border:
         touching[np.unique(shapely.STRtree(filled).query(filled, "touches"))] = True
         return np.flatnonzero(touching) if touching.any() else np.arange(len(rings))
 
+    @property
+    def outer(self) -> Flags:
+        """(rings,) which go around a piece; the others are holes."""
+        return np.asarray(np.diff(self.piece, prepend=-1) != 0)
+
     @cached_property
     def _sign(self) -> Array:
         """(rings,) 1 for outer rings, -1 for holes."""
-        return np.where(np.diff(self.piece, prepend=-1) != 0, 1.0, -1.0)
+        return np.where(self.outer, 1.0, -1.0)
 
     @cached_property
     def _relations(self) -> set[tuple[int, int, str]]:
@@ -222,10 +227,12 @@ def _overlap(graph: Graph) -> str:
     faces = shapely.polygons(corners)
     middles = shapely.points(corners.mean(axis=1))
     middle, face = shapely.STRtree(faces).query(middles, "within")
-    number = len(np.unique(middle[middle != face]))
-    if not number:
+    over = np.unique(middle[middle != face])
+    if not len(over):
         return "along their borders"
-    return f"{number:,} triangles, {100.0 * number / len(faces):.2g} %"
+    corners = graph.points[graph.triangles[~graph.flat][over[0]]] @ graph.rotation
+    share = 100.0 * len(over) / len(faces)
+    return f"{len(over):,} triangles, {share:.2g} %, the first near {place(corners)}"
 
 
 def _reduced(chain: Array, fixed: Flags, tol: float, sag: Sag | None) -> IntArray:

@@ -15,7 +15,7 @@ from equimesh.fields.surface_topology import (
     opposites,
 )
 
-__all__ = ["Graph", "as_graph"]
+__all__ = ["Graph", "as_graph", "count", "joined", "place"]
 
 Flags = NDArray[np.bool_]
 
@@ -45,17 +45,12 @@ def as_graph(points: ArrayLike, triangles: ArrayLike, up: Any = None) -> Graph:
     notes: list[str] = []
     p, t = _arrays(points, triangles)
     p, t = _weld(p, t, notes)
-    crowded = crowded_edges(t)
-    if len(crowded):
-        x, y, z = p[crowded[0]].mean(axis=0)
+    t = _without_flaps(p, t, notes)
+    component, turn, twisted = consistent_winding(t, opposites(t))
+    if twisted >= 0:
         raise InputError(
-            f"The surface has {len(crowded)} edge(s) shared by more than two triangles, the first "
-            f"near ({x:g}, {y:g}, {z:g}): split the surface there or delete the extra triangles."
-        )
-    component, turn, orientable = consistent_winding(t, opposites(t))
-    if not orientable:
-        raise InputError(
-            "The surface is one-sided (a Moebius band): cut it so that it has a top and a bottom."
+            "The surface is one-sided (a Moebius band), seen going around from "
+            f"{place(p[t[twisted]])}: cut it so that it has a top and a bottom."
         )
     if turn.any():
         t[turn] = t[turn][:, ::-1]
@@ -72,8 +67,24 @@ def as_graph(points: ArrayLike, triangles: ArrayLike, up: Any = None) -> Graph:
     return Graph(p[used], t.reshape(-1, 3), flat, component, rotation, tuple(notes))
 
 
+def joined(graph: Graph) -> Graph:
+    """The same with its edge-connected pieces counted anew, after triangles were added."""
+    component, _, _ = consistent_winding(graph.triangles, opposites(graph.triangles))
+    return graph._replace(component=component)
+
+
+def place(points: Array) -> str:
+    """The middle of some points (k, 3), in words."""
+    x, y, z = points.mean(axis=0)
+    return f"({x:.6g}, {y:.6g}, {z:.6g})"
+
+
 def _count(flags: Flags, noun: str) -> str:
-    number = int(np.count_nonzero(flags))
+    return count(int(np.count_nonzero(flags)), noun)
+
+
+def count(number: int, noun: str) -> str:
+    """Such as ``1 triangle`` or ``1,024 vertices``."""
     plural = "vertices" if noun == "vertex" else noun + "s"
     return f"{number:,} {noun if number == 1 else plural}"
 
@@ -95,7 +106,8 @@ def _arrays(points: ArrayLike, triangles: ArrayLike) -> tuple[Array, IntArray]:
     wild = ~np.isfinite(p[t]).all(axis=(1, 2))
     if wild.any():
         raise InputError(
-            f"{_count(wild, 'triangle')} with coordinates that are not finite: remove these."
+            f"The surface has {_count(wild, 'triangle')} with coordinates that are not finite, the "
+            f"first is number {int(np.argmax(wild))}: remove these."
         )
     return p, t
 
@@ -127,6 +139,31 @@ def _weld(p: Array, t: IntArray, notes: list[str]) -> tuple[Array, IntArray]:
     return p, t
 
 
+def _without_flaps(p: Array, t: IntArray, notes: list[str]) -> IntArray:
+    """No edge of more than two triangles: those that hang on such an edge alone are left out.
+
+    Where that leaves two others the surface goes on as if the flap had never been; elsewhere nobody
+    can tell which triangles are the surface.
+    """
+    crowded, member = crowded_edges(t)
+    if not len(crowded):
+        return t
+    alone = (opposites(t) < 0).reshape(-1, 3).sum(axis=1) == 2
+    edge, around = member[:, 0], member[:, 1] // 3
+    staying = np.bincount(edge, weights=~alone[around])
+    if (staying != 2).any():
+        first = int(np.argmax(staying != 2))
+        raise InputError(
+            f"The surface has {len(crowded)} edge(s) shared by more than two triangles, the first "
+            f"near {place(p[crowded[first]])}: split the surface there or delete the extra "
+            "triangles."
+        )
+    hangs = np.zeros(len(t), bool)
+    hangs[around[alone[around]]] = True
+    notes.append(f"left out {_count(hangs, 'triangle')} hanging on an edge of two others")
+    return t[~hangs]
+
+
 def _rotation(p: Array, t: IntArray, component: IntArray, up: Any, notes: list[str]) -> Array:
     """The rotation that takes the direction of heights to z."""
     if up is not None:
@@ -135,15 +172,19 @@ def _rotation(p: Array, t: IntArray, component: IntArray, up: Any, notes: list[s
     parts = int(component.max()) + 1
     above = np.bincount(component[area > rounding], minlength=parts) > 0
     below = np.bincount(component[area < -rounding], minlength=parts) > 0
-    if not (above & below).any() and (above | below).any():
-        return np.eye(3)
     a, b, c = p[t].transpose(1, 0, 2)
+    in_space = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    upright = float(np.abs(area).sum()) <= 1e-9 * in_space
+    if not upright and not (above & below).any() and (above | below).any():
+        return np.eye(3)
     normal = np.cross(b - a, c - a).sum(axis=0)
     length = float(np.linalg.norm(normal))
-    if length <= 1e-9 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()):
+    if length <= 1e-9 * in_space:
+        share = 100.0 * min(np.mean(area <= rounding), np.mean(area >= -rounding))
         raise InputError(
-            "The surface is closed or folded, so it is a graph in no direction: split it into parts"
-            " that are graphs."
+            "The surface is closed or folded, so it is a graph in no direction: seen along z, "
+            f"{share:.2g} % of its triangles are upright or turned over; give up= for an open "
+            "surface or split it into parts that are graphs."
         )
     normal /= length
     notes.append("heights along the mean normal ({:.4g}, {:.4g}, {:.4g})".format(*normal))
@@ -227,9 +268,10 @@ def _without_flat(
     if offends.any():
         along = ", ".join(f"{number:.3g}" for number in rotation[2])
         share = 100.0 * np.count_nonzero(offends) / len(t)
+        first = place(p[t[int(np.argmax(offends))]] @ rotation)
         raise InputError(
             f"The surface is no graph: seen along ({along}), {_count(offends, 'triangle')} "
-            f"({share:.2g} %) are upright or turned over; give up= another direction or split "
-            "the surface into parts that are graphs."
+            f"({share:.2g} %) are upright or turned over, the first near {first}; give up= another "
+            "direction or split the surface into parts that are graphs."
         )
     return t, flat

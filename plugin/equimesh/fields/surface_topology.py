@@ -30,14 +30,20 @@ def _edge_order(triangles: IntArray) -> tuple[IntArray, Flags]:
     return order, again
 
 
-def crowded_edges(triangles: IntArray) -> IntArray:
-    """(k, 2) vertices of the edges that more than two triangles share."""
+def crowded_edges(triangles: IntArray) -> tuple[IntArray, IntArray]:
+    """(k, 2) vertices of the edges that more than two triangles share, and (j, 2) their half-edges.
+
+    Every row of the second is the number of an edge in the first and one of its half-edges.
+    """
     order, again = _edge_order(triangles)
-    third = again.copy()
-    third[1:] &= again[:-1]
-    half = order[third]
-    start, end = triangles[half // 3, half % 3], triangles[half // 3, (half + 1) % 3]
-    return np.unique(np.sort(np.stack([start, end], axis=1), axis=1), axis=0)
+    edge = np.cumsum(~again) - 1
+    crowd = np.bincount(edge) > 2
+    number = np.cumsum(crowd) - 1
+    chosen = crowd[edge]
+    member = np.stack([number[edge[chosen]], order[chosen]], axis=1)
+    half = order[chosen & ~again]
+    ends = np.stack([triangles[half // 3, half % 3], triangles[half // 3, (half + 1) % 3]], axis=1)
+    return np.sort(ends, axis=1), member
 
 
 def opposites(triangles: IntArray) -> IntArray:
@@ -51,16 +57,17 @@ def opposites(triangles: IntArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def consistent_winding(triangles: IntArray, opposite: IntArray) -> tuple[IntArray, Flags, bool]:
-    """Wind neighbours alike: (m,) edge-connected component, (m,) whether to turn, orientable.
+def consistent_winding(triangles: IntArray, opposite: IntArray) -> tuple[IntArray, Flags, int]:
+    """Wind neighbours alike: (m,) edge-connected component, (m,) whether to turn, and a triangle.
 
-    In every component the smaller part of its triangles is turned.
+    In every component the smaller part of its triangles is turned. The triangle is one where this
+    is impossible, -1 if there is none.
     """
     count = len(triangles)
     component = np.full(count, -1)
     turn = np.zeros(count, np.bool_)
     queue = np.zeros(count, np.int64)
-    orientable = True
+    twisted = -1
     parts = 0
     for seed in range(count):
         if component[seed] >= 0:
@@ -84,12 +91,12 @@ def consistent_winding(triangles: IntArray, opposite: IntArray) -> tuple[IntArra
                     queue[tail] = u
                     tail += 1
                 elif turn[u] != against:
-                    orientable = False
+                    twisted = t
         if 2 * turned > tail:
             for i in range(tail):
                 turn[queue[i]] = not turn[queue[i]]
         parts += 1
-    return component, turn, orientable
+    return component, turn, twisted
 
 
 class Rings(NamedTuple):

@@ -1,0 +1,1 @@
+"""Meshes that are unit in a given Riemannian metric."""
