@@ -3,8 +3,9 @@
     python benchmarks/scans.py [--percents 1 0.5 0.2] [--efforts fast balanced best]
 
 The error is measured here at all vertices of the scan over the mesh and at points of the mesh over
-the scan, in units of the tolerance, a share of the range of heights. Decimation has no tolerance: its
-number of triangles is searched until that error fits; its borders may shrink or overhang unpunished.
+the scan, in units of the tolerance, a share of the range of heights. Decimation has no tolerance:
+its number of triangles is searched until that error fits; its borders may shrink or overhang
+unpunished.
 """
 
 from __future__ import annotations

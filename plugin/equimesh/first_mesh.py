@@ -18,10 +18,10 @@ from equimesh.optimise.mesh import FIXED, FREE, SLIDES, Mesh, build
 from equimesh.seeding import lattice_points
 from equimesh.triangulation import constrained_delaunay
 
-__all__ = ["FirstMesh", "first_mesh"]
+__all__ = ["SETTLED", "FirstMesh", "first_mesh"]
 
 # Lattice triangles just below the optimiser's hinge, so that it leaves them alone.
-_LATTICE = 0.982
+SETTLED = 0.982
 _MOST = 2e7  # triangles that memory is meant to hold
 
 
@@ -30,24 +30,35 @@ class FirstMesh:
     """A mesh in local coordinates with the sides of its domain.
 
     ``sides`` has the user's corners, directed as local coordinates see them. ``corner_of`` (n,)
-    tells which corner each first vertex is, -1 for none.
+    tells which corner each first vertex is, -1 for none. ``settled``: no vertex but the corners is
+    needed.
     """
 
     mesh: Mesh
     sides: Sides
     corner_of: NDArray[np.int64]
+    settled: bool = False
 
 
 def first_mesh(
-    surface: Field, kernel: KernelField, sides: Sides, frame: Frame, tol: float
+    surface: Field,
+    kernel: KernelField,
+    sides: Sides,
+    frame: Frame,
+    tol: float,
+    error: float = SETTLED,
 ) -> FirstMesh:
-    """Vertices and triangles to start from, for a tolerance in units of z."""
+    """Vertices and triangles to start from, for a tolerance in units of z.
+
+    ``error``: that of the lattice's triangles in units of the tolerance.
+    """
     sides = _handed(sides, frame)
     local = Sides(frame.to_local(sides.corners), sides.following, sides.tags, sides.names)
     segments = np.hstack([local.corners, local.corners[local.following]])
     points, edges, side, corner_of = _corners_only(local)
     inner = np.empty((0, 2))
-    if kernel.kind == PATCHES and not _coarse_is_enough(surface, sides, tol):
+    settled = kernel.kind == PATCHES and _coarse_is_enough(surface, sides, tol)
+    if kernel.kind == PATCHES and not settled:
         coarse = constrained_delaunay(points, edges)
         extent = float(np.ptp(local.corners, axis=0).max())
         floor = 1.0 / extent**2
@@ -57,8 +68,8 @@ def first_mesh(
                 f"The tolerance asks for about {expected:.1e} triangles: raise it, or mesh the "
                 "domain in parts."
             )
-        nodes = boundary_nodes(kernel, local, tol, floor)
-        inner = lattice_points(kernel, local, nodes, _LATTICE * tol, floor, int(expected) + 10)
+        nodes = boundary_nodes(kernel, local, tol * error / SETTLED, floor)
+        inner = lattice_points(kernel, local, nodes, error * tol, floor, int(expected) + 10)
         corner = np.where(nodes.corner, nodes.side, -1)
         points, edges, side, corner_of = _merged(nodes.points, nodes.following, nodes.side, corner)
     every = np.vstack([points, inner])
@@ -72,7 +83,7 @@ def first_mesh(
     user[known] = sides.corners[corner_of[known]]
     z = surface.value(user[:, 0], user[:, 1])
     mesh = build(np.column_stack([every, z]), triangles, kind, side_of, segments)
-    return FirstMesh(mesh, sides, corner_of)
+    return FirstMesh(mesh, sides, corner_of, settled)
 
 
 def _coarse_is_enough(surface: Field, sides: Sides, tol: float) -> bool:

@@ -13,9 +13,9 @@ import numpy as np
 import shapely
 
 from equimesh.domain import DomainLike, domain_geometry, sides_of
+from equimesh.drafts import best_draft
 from equimesh.errors import Cancelled, InputError
 from equimesh.fields import Bound, Field, Source, as_field
-from equimesh.first_mesh import first_mesh
 from equimesh.metric import lower_bound
 from equimesh.optimise.driver import EFFORTS, optimise, repair
 from equimesh.optimise.mesh import Mesh
@@ -136,7 +136,7 @@ def remesh(
         kernel = surface.kernel(covered, height)
         frame = surface.frame(covered)
     with stages.stage("seed"):
-        start = first_mesh(surface, kernel, sides_of(covered), frame, _AIM * height)
+        start = best_draft(surface, kernel, sides_of(covered), frame, _AIM * height, effort)
     with stages.stage("optimise") as report:
         mesh, good = optimise(kernel, start.mesh, _AIM * height, effort, report)
     with stages.stage("certify"):

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.kernel import PATCHES, KernelField
+from equimesh.optimise.anneal import anneal
 from equimesh.optimise.energy import evaluate_all
 from equimesh.optimise.greedy import refine
-from equimesh.optimise.mesh import FREE, SLIDES, Mesh, enlarged
+from equimesh.optimise.mesh import FREE, MANNER, MODEL, SETTLE, SLIDES, SPREAD, Mesh, enlarged
 from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.sweep import (
     flip_all,
     insert_round,
+    lift_all,
     relax_all,
     removal_round,
     split_borders,
@@ -25,25 +28,81 @@ from equimesh.optimise.sweep import (
     violations,
 )
 
-__all__ = ["EFFORTS", "Effort", "optimise", "repair"]
+__all__ = ["EFFORTS", "Effort", "draft", "optimise", "repair", "seam_share"]
 
 Report = Callable[[float], None]
 # Hardly any removal succeeds around a vertex that could spare fewer triangles than this.
 _WORTH = 1.5
+_EXCHANGES = 4  # rounds of annealing
+# Rounds of removal and visits on data, which have no Taylor's formula.
+_ON_DATA = {"fast": (1, 48), "balanced": (6, 120), "best": (20, 600)}
 
 
 @dataclass(frozen=True)
 class Effort:
     """How long to look for vertices that can go.
 
-    ``rounds`` of removal, each trial with at most ``visits`` moves of vertices around it.
+    ``drafts``: first meshes that are tried on Taylor's errors, each with ``rounds`` of removal and
+    at most ``visits`` moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the
+    same for the best of them on the true errors.
     """
 
+    drafts: int
     rounds: int
     visits: int
+    last_rounds: int
+    last_visits: int
 
 
-EFFORTS = {"fast": Effort(1, 48), "balanced": Effort(6, 120), "best": Effort(20, 600)}
+EFFORTS = {
+    "fast": Effort(1, 2, 60, 0, 0),
+    "balanced": Effort(3, 6, 120, 2, 60),
+    "best": Effort(8, 20, 300, 20, 600),
+}
+
+
+@contextmanager
+def modelled(field: KernelField, mesh: Mesh) -> Iterator[None]:
+    """Within it errors are those of Taylor's formula wherever that is good (``model.py``)."""
+    lift_all(field, mesh)
+    mesh.count[MODEL] = 1
+    yield
+    mesh.count[MODEL] = 0
+
+
+def seam_share(field: KernelField, mesh: Mesh, tol: float) -> float:
+    """The share of triangles above the tolerance among those that do not touch the boundary."""
+    with modelled(field, mesh):
+        evaluate_all(field, mesh, tol)
+        flip_all(field, mesh, tol, 50)
+    n = int(mesh.count[0])
+    inner = (mesh.kind[mesh.tv[:n]] == FREE).all(1) & (mesh.tv[:n, 0] >= 0)
+    worst = np.maximum(np.abs(mesh.ee[:n]).max(1), np.abs(mesh.ie[:n]))[inner]
+    return float((worst > 1.0).mean()) if len(worst) else 0.0
+
+
+def draft(field: KernelField, mesh: Mesh, tol: float, effort: str, annealed: float | None) -> Mesh:
+    """A mesh with few triangles whose errors by Taylor's formula keep the tolerance.
+
+    ``annealed``: error to anneal the mesh for at first; None leaves the lattice as it is laid.
+    """
+    how = EFFORTS[effort]
+    with modelled(field, mesh):
+        queue = make_queue(len(mesh.x))
+        if annealed is not None:
+            anneal(field, mesh, annealed * tol, queue, _EXCHANGES)
+        evaluate_all(field, mesh, tol)
+        split_borders(field, mesh, tol)
+        flip_all(field, mesh, tol, 50)
+        if annealed is not None:
+            mesh.count[MANNER] = SPREAD
+            relax_all(field, mesh, tol, queue, 60)
+            mesh.count[MANNER] = SETTLE
+        relax_all(field, mesh, tol, queue, 40)
+        mesh = _lower_errors(field, mesh, tol, queue)
+        if violations(mesh, 1.0)[0] == 0:
+            _remove(field, mesh, tol, how.rounds, how.visits, lambda _: None)
+    return mesh
 
 
 def optimise(
@@ -55,6 +114,7 @@ def optimise(
     """
     how = EFFORTS[effort]
     evaluate_all(field, mesh, tol)
+    rounds, visits = how.last_rounds, how.last_visits
     if field.kind == PATCHES:
         queue = make_queue(len(mesh.x))
         split_borders(field, mesh, tol)
@@ -63,6 +123,7 @@ def optimise(
         report(0.3)
         mesh = _lower_errors(field, mesh, tol, queue)
     else:
+        rounds, visits = _ON_DATA[effort]
         mesh = _refine(field, mesh, tol)
         report(0.3)
         flip_all(field, mesh, tol, 4)
@@ -72,7 +133,7 @@ def optimise(
     report(0.5)
     good = bool(violations(mesh, 1.0)[0] == 0)
     if good:
-        _remove(field, mesh, tol, how, report)
+        _remove(field, mesh, tol, rounds, visits, lambda f: report(0.5 + 0.5 * f))
     return mesh, good
 
 
@@ -141,11 +202,13 @@ def _violated(mesh: Mesh) -> NDArray[np.int64]:
     return np.asarray(found[np.argsort(-worst[found], kind="stable")])
 
 
-def _remove(field: KernelField, mesh: Mesh, tol: float, effort: Effort, report: Report) -> None:
+def _remove(
+    field: KernelField, mesh: Mesh, tol: float, rounds: int, visits: int, report: Report
+) -> None:
     """Rounds of removal with repair; after the first only where something changed."""
     queue = make_queue(len(mesh.x))
     stamp = np.zeros(len(mesh.x), np.int64)
-    for number in range(1, effort.rounds + 1):
+    for number in range(1, rounds + 1):
         candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
         if number > 1:
             candidates = candidates[stamp[candidates] == number - 1]
@@ -156,10 +219,8 @@ def _remove(field: KernelField, mesh: Mesh, tol: float, effort: Effort, report: 
         removed = 0
         for first in range(0, len(candidates), 2000):
             part = candidates[first : first + 2000]
-            removed += removal_round(
-                field, mesh, tol, queue, part, effort.visits, 30.0, stamp, number
-            )[0]
-            done = (number - 1 + (first + len(part)) / len(candidates)) / effort.rounds
-            report(0.5 + 0.5 * done)
+            removed += removal_round(field, mesh, tol, queue, part, visits, 30.0, stamp, number)[0]
+            done = (number - 1 + (first + len(part)) / len(candidates)) / rounds
+            report(done)
         if removed == 0:
             break

@@ -9,15 +9,20 @@ violated.
 
 from __future__ import annotations
 
+import math
+
 from equimesh.fields.compiled import compiled
-from equimesh.fields.dispatch import edge_error, inner_error
-from equimesh.optimise.mesh import SPREAD
+from equimesh.fields.dispatch import edge_error, inner_error, value
+from equimesh.fields.patch_kernels import derivatives2
+from equimesh.optimise.mesh import MANNER, MODEL, SOFT, SPREAD
+from equimesh.optimise.model import alike, model_edge, model_inner
 from equimesh.optimise.topology import note_triangle
 
 __all__ = [
     "HINGE",
     "evaluate_all",
     "evaluate_triangle",
+    "lift",
     "penalty",
     "set_edge",
     "set_inner",
@@ -33,17 +38,36 @@ def penalty(m, e):
     e = min(abs(e), _CEILING)
     over = e - HINGE
     e2 = e * e
+    if m.count[MANNER] == SOFT:
+        return e2 * e2 * e2
     small = 1e-4 * e2 * e2 if e < 1.0 else 1e-4 * e2
     if over <= 0.0:
         return small
-    if m.count[SPREAD] == 1:
+    if m.count[MANNER] == SPREAD:
         return small + 20.0 * over * over
     return small + over + (0.05 if e > 1.0 else 0.0)
 
 
 @compiled
+def lift(F, m, v, x, y):
+    """Put vertex v at (x, y) on the surface; False, and nothing changed, outside the field."""
+    if m.count[MODEL] == 1:
+        z, _, _, hxx, hxy, hyy = derivatives2(F.frame, F.child, F.coef, x, y)
+        m.h[v, 0], m.h[v, 1], m.h[v, 2] = hxx, hxy, hyy
+    else:
+        z = value(F, x, y)
+        if not math.isfinite(z):
+            return False
+    m.x[v], m.y[v], m.z[v] = x, y, z
+    return True
+
+
+@compiled
 def edge_of(F, m, tol, a, b):
     """(signed error / tol, position) of the segment from vertex a to vertex b."""
+    if m.count[MODEL] == 1 and alike(m, a, b):
+        e, s = model_edge(m, a, b)
+        return e / tol, s
     e, s = edge_error(F, m.x[a], m.y[a], m.z[a], m.x[b], m.y[b], m.z[b], 1e3 * tol)
     return e / tol, s
 
@@ -51,6 +75,9 @@ def edge_of(F, m, tol, a, b):
 @compiled
 def inner_of(F, m, tol, a, b, c):
     """(signed error / tol, x, y) inside the triangle a, b, c."""
+    if m.count[MODEL] == 1 and alike(m, a, b) and alike(m, b, c) and alike(m, c, a):
+        e, x, y = model_inner(m, a, b, c)
+        return e / tol, x, y
     e, x, y = inner_error(
         F,
         m.x[a],

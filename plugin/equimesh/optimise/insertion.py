@@ -6,8 +6,8 @@ import math
 
 from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import value
-from equimesh.optimise.energy import edge_of, set_edge, set_inner
-from equimesh.optimise.mesh import FIXED, FREE, SLIDES
+from equimesh.optimise.energy import edge_of, lift, set_edge, set_inner
+from equimesh.optimise.mesh import FIXED, FREE, MODEL, SLIDES
 from equimesh.optimise.topology import (
     new_triangle,
     new_vertex,
@@ -33,6 +33,7 @@ def split_inside(F, m, tol, t, x, y):
     if not math.isfinite(z):
         return -1
     v = new_vertex(m, x, y, z, FREE, 0)
+    lift(F, m, v, x, y)
     note_triangle(m, t)
     t1, t2 = new_triangle(m), new_triangle(m)
     n1, n2 = m.tn[t, 1], m.tn[t, 2]
@@ -109,6 +110,8 @@ def split_edge(F, m, tol, t, k, s):
     elif wall == 1:
         kind = FIXED
     v = new_vertex(m, x, y, z, kind, side)
+    if m.count[MODEL] == 1:
+        lift(F, m, v, x, y)
     note_triangle(m, t)
     k1, k2 = (k + 1) % 3, (k + 2) % 3
     t1 = new_triangle(m)

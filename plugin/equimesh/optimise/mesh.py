@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 __all__ = ["FIXED", "FREE", "SLIDES", "Mesh", "build", "compact", "enlarged"]
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
+# How errors are priced (``energy.penalty``).
+SETTLE, SPREAD, SOFT = 0, 1, 2
 
 # Positions in Mesh.count.
 (
@@ -27,8 +29,9 @@ FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
     LOST_T,
     LOST_V,
     EPOCH,
-    SPREAD,
-) = range(11)
+    MANNER,
+    MODEL,
+) = range(12)
 
 
 class Mesh(NamedTuple):
@@ -37,6 +40,7 @@ class Mesh(NamedTuple):
     x: NDArray[np.float64]  # (v,)
     y: NDArray[np.float64]
     z: NDArray[np.float64]
+    h: NDArray[np.float64]  # (v, 3) second derivatives, where count[MODEL] is on
     kind: NDArray[np.int8]  # FREE, SLIDES along its side, FIXED, GONE
     side: NDArray[np.int64]  # row of ``sides`` on which a sliding vertex lies
     v2t: NDArray[np.int64]  # one triangle of each vertex
@@ -107,17 +111,18 @@ def build(
         wall[:m] = (kept[found] == low * n + high).reshape(m, 3)
     v2t = np.full(nv, -1, np.int64)
     v2t[triangles.ravel()] = np.repeat(np.arange(m, dtype=np.int64), 3)
-    count = np.zeros(11, np.int64)
+    count = np.zeros(12, np.int64)
     count[TRIANGLES], count[VERTICES] = m, n
     log = 20_000
     return Mesh(
         padded(points[:, 0], nv), padded(points[:, 1], nv), padded(points[:, 2], nv),
+        np.zeros((nv, 3)),
         kinds, side_of, v2t, tv, tn, wall,
         np.zeros((nt, 3)), np.zeros((nt, 3)), np.zeros(nt), np.zeros(nt), np.zeros(nt),
         np.zeros(nt, np.int64), np.ascontiguousarray(sides, float),
         np.zeros(nt, np.int64), np.zeros(nv, np.int64), count,
         np.zeros((log, 10), np.int64), np.zeros((log, 9)),
-        np.zeros((log, 4), np.int64), np.zeros((log, 3)),
+        np.zeros((log, 4), np.int64), np.zeros((log, 6)),
         np.zeros(log, np.int64), np.zeros(log, np.int64),
         np.zeros((4, 512), np.int64), np.zeros((8, 512)),
         np.zeros((3, 64, 24), np.int64), np.zeros((4, 24, 24)),
@@ -146,9 +151,9 @@ def enlarged(mesh: Mesh) -> Mesh:
             new[:] = -1
         new[: len(old)] = old
         grown[name] = new
-    for name in ("x", "y", "z", "kind", "side", "v2t", "spare_v"):
+    for name in ("x", "y", "z", "h", "kind", "side", "v2t", "spare_v"):
         old = getattr(mesh, name)
-        new = np.full(2 * len(old), GONE if name == "kind" else 0, old.dtype)
+        new = np.full((2 * len(old), *old.shape[1:]), GONE if name == "kind" else 0, old.dtype)
         new[: len(old)] = old
         grown[name] = new
     return mesh._replace(**grown)

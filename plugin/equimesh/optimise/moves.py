@@ -11,9 +11,10 @@ from __future__ import annotations
 import math
 
 from equimesh.fields.compiled import compiled
-from equimesh.fields.dispatch import gradient, value
-from equimesh.optimise.energy import HINGE, edge_of, inner_of, penalty
-from equimesh.optimise.mesh import FIXED, SLIDES
+from equimesh.fields.dispatch import gradient
+from equimesh.optimise.energy import HINGE, edge_of, inner_of, lift, penalty
+from equimesh.optimise.mesh import FIXED, MODEL, SLIDES
+from equimesh.optimise.model import model_rise
 from equimesh.optimise.topology import ample, flip, note_triangle, note_vertex, star
 
 __all__ = ["move_vertex", "star_energy", "try_flip"]
@@ -116,7 +117,8 @@ def _gauss_newton(F, m, tol, v, n, closed, dirx, diry):
     Residuals and their slopes are gathered in ``m.work`` rows 5 to 7.
     """
     vx, vy = m.x[v], m.y[v]
-    gx, gy = gradient(F, vx, vy)
+    model = m.count[MODEL] == 1
+    gx, gy = (0.0, 0.0) if model else gradient(F, vx, vy)
     if not (math.isfinite(gx) and math.isfinite(gy)):
         return 0.0, 0.0
     count = 0
@@ -130,7 +132,7 @@ def _gauss_newton(F, m, tol, v, n, closed, dirx, diry):
             e, s = m.ee[t, k], 1.0 - m.ep[t, k]
         r = m.ring[0, i]
         px, py = vx + s * (m.x[r] - vx), vy + s * (m.y[r] - vy)
-        hx, hy = gradient(F, px, py)
+        hx, hy = model_rise(m, v, r, px - vx, py - vy) if model else gradient(F, px, py)
         if math.isfinite(hx) and math.isfinite(hy):
             w = (1.0 - s) / tol * (1.0 if e > 0.0 else -1.0)
             m.work[5, count] = abs(e) - HINGE
@@ -145,7 +147,7 @@ def _gauss_newton(F, m, tol, v, n, closed, dirx, diry):
         area = (m.x[p] - vx) * (m.y[q] - vy) - (m.y[p] - vy) * (m.x[q] - vx)
         x, y = m.ix[t], m.iy[t]
         w = ((m.x[p] - x) * (m.y[q] - y) - (m.y[p] - y) * (m.x[q] - x)) / area
-        hx, hy = gradient(F, x, y)
+        hx, hy = model_rise(m, v, p, x - vx, y - vy) if model else gradient(F, x, y)
         if math.isfinite(hx) and math.isfinite(hy):
             w *= (1.0 if e > 0.0 else -1.0) / tol
             m.work[5, count] = abs(e) - HINGE
@@ -205,6 +207,7 @@ def move_vertex(F, m, tol, v):
     if not (math.isfinite(dx) and math.isfinite(dy)) or (dx == 0.0 and dy == 0.0):
         return 0.0
     x, y, z = m.x[v], m.y[v], m.z[v]
+    hxx, hxy, hyy = m.h[v, 0], m.h[v, 1], m.h[v, 2]
     note_vertex(m, v)
     scale = 1.0
     for _ in range(4):
@@ -216,13 +219,12 @@ def move_vertex(F, m, tol, v):
             if along <= 0.0 or along >= 1.0:
                 scale *= 0.4
                 continue
-        nz = value(F, nx, ny)
-        if math.isfinite(nz):
-            m.x[v], m.y[v], m.z[v] = nx, ny, nz
+        if lift(F, m, v, nx, ny):
             after = _trial(F, m, tol, v, n, closed, before * 0.995)
             if after < before * 0.995:
                 store_star(m, v, n, closed)
                 return before - after
         scale *= 0.4
     m.x[v], m.y[v], m.z[v] = x, y, z
+    m.h[v, 0], m.h[v, 1], m.h[v, 2] = hxx, hxy, hyy
     return 0.0

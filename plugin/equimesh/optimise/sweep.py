@@ -12,7 +12,7 @@ from equimesh.fields.kernel import PATCHES
 from equimesh.fields.patch_kernels import derivatives2
 from equimesh.optimise.energy import penalty, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
-from equimesh.optimise.mesh import FREE, SLIDES, SPREAD
+from equimesh.optimise.mesh import FREE, MANNER, SETTLE, SLIDES, SPREAD
 from equimesh.optimise.moves import try_flip
 from equimesh.optimise.relax import clear, push, push_violated, relax
 from equimesh.optimise.removal import remove_if_clean, remove_vertex, touched_excess
@@ -21,8 +21,10 @@ from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 __all__ = [
     "flip_all",
     "insert_round",
+    "lift_all",
     "relax_all",
     "removal_round",
+    "split_at_worst",
     "split_borders",
     "split_listed",
     "thin_out",
@@ -32,6 +34,14 @@ __all__ = [
 
 _AREA_CONVEX = 3.0 * math.sqrt(3.0) / 16.0  # of the optimal triangles in units of 8 tol
 _AREA_SADDLE = math.sqrt(5.0) / 4.0
+
+
+@compiled
+def lift_all(F, m):
+    """Second derivatives at all vertices."""
+    for v in range(m.count[1]):
+        _, _, _, hxx, hxy, hyy = derivatives2(F.frame, F.child, F.coef, m.x[v], m.y[v])
+        m.h[v, 0], m.h[v, 1], m.h[v, 2] = hxx, hxy, hyy
 
 
 @compiled
@@ -95,7 +105,7 @@ def relax_all(F, m, tol, q, per_vertex):
 
 
 @compiled
-def _split_at_worst(F, m, tol, t):
+def split_at_worst(F, m, tol, t):
     """Split the place of t's largest error; returns the new vertex or -1."""
     k, e = -1, abs(m.ie[t])
     for i in range(3):
@@ -135,7 +145,7 @@ def insert_round(F, m, tol, q, stamp, number, order, budget):
             or stamp[m.tv[t, 2]] == number
         ):
             continue
-        v = _split_at_worst(F, m, tol, t)
+        v = split_at_worst(F, m, tol, t)
         if v < 0:
             continue
         made += 1
@@ -161,7 +171,7 @@ def split_listed(F, m, tol, q, slots):
     for i in range(slots.shape[0]):
         if m.tv[slots[i], 0] < 0:
             continue
-        v = _split_at_worst(F, m, tol, slots[i])
+        v = split_at_worst(F, m, tol, slots[i])
         if v >= 0:
             clear(q)
             push(q, v)
@@ -260,9 +270,9 @@ def removal_round(F, m, tol, q, candidates, budget, goal, stamp, number):
         clear(q)
         for j in range(count):
             push(q, m.ring[3, j])
-        m.count[SPREAD] = 1
+        m.count[MANNER] = SPREAD
         repaired = _repaired(F, m, tol, q, budget)
-        m.count[SPREAD] = 0
+        m.count[MANNER] = SETTLE
         if repaired:
             for j in range(m.count[4]):
                 t = m.log_ti[j, 0]

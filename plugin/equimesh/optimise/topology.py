@@ -74,7 +74,9 @@ def note_vertex(m, v):
     m.count[LOG_V] = k + 1
     m.log_vi[k, 0], m.log_vi[k, 1], m.log_vi[k, 2] = v, m.kind[v], m.side[v]
     m.log_vi[k, 3] = m.v2t[v]
-    m.log_vf[k, 0], m.log_vf[k, 1], m.log_vf[k, 2] = m.x[v], m.y[v], m.z[v]
+    row = m.log_vf[k]
+    row[0], row[1], row[2] = m.x[v], m.y[v], m.z[v]
+    row[3], row[4], row[5] = m.h[v, 0], m.h[v, 1], m.h[v, 2]
 
 
 @compiled
@@ -132,7 +134,9 @@ def rollback(m):
             m.spare_v[c[FREE_VERTICES]] = v
             c[FREE_VERTICES] += 1
         m.kind[v], m.side[v], m.v2t[v] = m.log_vi[k, 1], m.log_vi[k, 2], m.log_vi[k, 3]
-        m.x[v], m.y[v], m.z[v] = m.log_vf[k, 0], m.log_vf[k, 1], m.log_vf[k, 2]
+        row = m.log_vf[k]
+        m.x[v], m.y[v], m.z[v] = row[0], row[1], row[2]
+        m.h[v, 0], m.h[v, 1], m.h[v, 2] = row[3], row[4], row[5]
     c[RECORDING] = 0
 
 

@@ -1,0 +1,139 @@
+"""Annealing: vertices come, go and move until a smooth energy of all errors is low.
+
+Where the metric is curved a lattice must have dislocations, and one laid along geodesics has them
+in long seams. The energy ``sum e^6 + MU * triangles`` (edges count half from each side) favours
+crystals: its power spreads strain over many triangles, and the price of a triangle makes an error
+of 1 the best one. The steps are those of a grand canonical ensemble at temperature zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from equimesh.fields.compiled import compiled
+from equimesh.fields.kernel import KernelField
+from equimesh.optimise.energy import evaluate_all, penalty, worst_of
+from equimesh.optimise.mesh import (
+    EPOCH,
+    FREE,
+    LOG_T,
+    MANNER,
+    SETTLE,
+    SLIDES,
+    SOFT,
+    Mesh,
+)
+from equimesh.optimise.relax import Queue, clear, push, relax
+from equimesh.optimise.removal import remove_vertex
+from equimesh.optimise.sweep import flip_all, split_at_worst, vertex_waste
+from equimesh.optimise.topology import begin, commit, rollback, room_left, star
+
+__all__ = ["anneal"]
+
+_MU = 7.0  # (p - 1) times the energy of a lattice triangle of error 1, p = 6
+_VISITS = 60  # of vertices around an insertion or removal that is tried
+
+
+@compiled
+def _energy(m, e0, e1, e2, inner):
+    return 0.5 * (penalty(m, e0) + penalty(m, e1) + penalty(m, e2)) + penalty(m, inner)
+
+
+@compiled
+def _energy_change(m):
+    """Energy of the journal's triangles now, less what it was."""
+    m.count[EPOCH] += 1
+    epoch = m.count[EPOCH]
+    total = 0.0
+    for i in range(m.count[LOG_T]):
+        t = m.log_ti[i, 0]
+        if m.mark[t] != epoch:
+            m.mark[t] = epoch
+            if m.log_ti[i, 1] >= 0:
+                old = m.log_tf[i]
+                total -= _energy(m, old[0], old[1], old[2], old[6])
+            if m.tv[t, 0] >= 0:
+                total += _energy(m, m.ee[t, 0], m.ee[t, 1], m.ee[t, 2], m.ie[t])
+    return total
+
+
+@compiled
+def _relax_everything(F, m, tol, q, per_vertex):
+    clear(q)
+    for v in range(m.count[1]):
+        push(q, v)
+    return relax(F, m, tol, q, 1 << 60, per_vertex)
+
+
+@compiled
+def _push_star(m, q, v):
+    n, closed = star(m, v)
+    for j in range(n if closed else n + 1):
+        push(q, m.ring[0, j])
+
+
+@compiled
+def _worst_around(m, v):
+    """The triangle of v's star with the largest error."""
+    n, _ = star(m, v)
+    worst = m.ring[1, 0]
+    for j in range(1, n):
+        if worst_of(m, m.ring[1, j]) > worst_of(m, worst):
+            worst = m.ring[1, j]
+    return worst
+
+
+@compiled
+def _exchange(F, m, tol, q, candidates, waste, visits):
+    """Remove each candidate whose waste is positive, or insert beside it; keep what pays.
+
+    Returns how many changes were kept.
+    """
+    kept = 0
+    for i in range(candidates.shape[0]):
+        v = candidates[i]
+        if (m.kind[v] != FREE and m.kind[v] != SLIDES) or not room_left(m):
+            continue
+        begin(m)
+        clear(q)
+        if waste[i] > 0.0:
+            _push_star(m, q, v)
+            triangles = -2 if m.kind[v] == FREE else -1
+            if remove_vertex(F, m, tol, v, 1e30) < 0.0:
+                rollback(m)
+                continue
+        else:
+            v = split_at_worst(F, m, tol, _worst_around(m, v))
+            if v < 0:
+                rollback(m)
+                continue
+            triangles = 2 if m.kind[v] == FREE else 1
+            push(q, v)
+            _push_star(m, q, v)
+        relax(F, m, tol, q, visits, 12)
+        if _energy_change(m) + _MU * triangles < 0.0:
+            commit(m)
+            kept += 1
+        else:
+            rollback(m)
+    return kept
+
+
+def anneal(field: KernelField, mesh: Mesh, tol: float, queue: Queue, rounds: int) -> int:
+    """Relax everything, then exchange vertices where the density is off; returns the exchanges."""
+    total = 0
+    mesh.count[MANNER] = SOFT
+    evaluate_all(field, mesh, tol)
+    flip_all(field, mesh, tol, 50)
+    _relax_everything(field, mesh, tol, queue, 10)
+    for _ in range(rounds):
+        candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
+        waste = vertex_waste(field, mesh, tol, candidates)
+        off = np.flatnonzero(np.abs(waste) > 1.0)
+        order = off[np.argsort(-np.abs(waste[off]), kind="stable")]
+        kept = _exchange(field, mesh, tol, queue, candidates[order], waste[order], _VISITS)
+        total += kept
+        if kept < 0.002 * len(candidates):
+            break
+    mesh.count[MANNER] = SETTLE
+    return total
