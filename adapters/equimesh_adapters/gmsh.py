@@ -72,7 +72,7 @@ _FOLLOW = {
 def from_result(result: equimesh.Result, name: str = "equimesh", *, errors: bool = False) -> int:
     """Add a discrete model of the result, make it the current one, and give the surface's tag.
 
-    Physical groups: ``surface`` and every named boundary curve. With ``errors``, a view of that
+    Physical groups: ``surface``, every named boundary curve and every name of constraints. With ``errors``, a view of that
     name has the largest error of every triangle.
     """
     gmsh = opened()
@@ -205,7 +205,7 @@ def _add(gmsh: Any, result: equimesh.Result) -> None:
 
     Elements have the numbers from 1: lines curve by curve, then triangles.
     """
-    model_mesh, boundary, points = gmsh.model.mesh, result.boundary, result.points
+    model_mesh, boundary, points = gmsh.model.mesh, result.curves, result.points
     curves = _curves(boundary)
     ends = {tag: _open_ends(edges) for tag, edges in curves.items()}
     corners = np.unique(np.concatenate([np.zeros(0, np.int64), *ends.values()]))
@@ -224,7 +224,8 @@ def _add(gmsh: Any, result: equimesh.Result) -> None:
     for tag, edges in curves.items():
         gmsh.model.addDiscreteEntity(1, tag, [point_of[int(v)] for v in ends[tag]])
         put(1, tag, np.unique(edges))
-    gmsh.model.addDiscreteEntity(2, 1, list(curves))
+    around = [tag for tag in curves if tag <= len(result.boundary.names)]
+    gmsh.model.addDiscreteEntity(2, 1, around)
     put(2, 1, np.arange(len(points)))
     next_element = 1
     for tag, edges in curves.items():
@@ -244,7 +245,7 @@ def _add(gmsh: Any, result: equimesh.Result) -> None:
 
 def _add_errors(gmsh: Any, result: equimesh.Result, model: str) -> int:
     """The tag of a new view of the elements that ``_add`` made."""
-    edges = np.concatenate([np.zeros((0, 2), np.int64), *_curves(result.boundary).values()])
+    edges = np.concatenate([np.zeros((0, 2), np.int64), *_curves(result.curves).values()])
     errors = result.profile.errors
     values = np.concatenate([errors[triangles_beside(result.triangles, edges)], errors])
     view = gmsh.view.add("error")

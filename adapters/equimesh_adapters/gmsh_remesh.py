@@ -93,7 +93,7 @@ def remesh(
         job = _discrete(gmsh, tag, tol, up, held, options)
     else:
         job = _plane(gmsh, tag, tol, follow, options)
-    if not job.result.status.ok:
+    if not job.result.status.usable:
         raise InputError(job.result.status.value)
     replace_mesh(gmsh, tag, job.curves, job.patch)
     return job.result

@@ -53,15 +53,16 @@ MetricLike: TypeAlias = Callable[[NDArray[np.float64], NDArray[np.float64]], NDA
 
 def from_result(result: equimesh.Result, *, dimension: int = 3) -> MeditMesh:
     """A result in space, or its projection with ``dimension=2``, as Mmg2d wants it."""
-    boundary = result.boundary
+    boundary, curves = result.boundary, result.curves
+    corners = _corners(result.points[:, :2], boundary.edges, boundary.tags)
     return MeditMesh(
         np.ascontiguousarray(result.points[:, :dimension]),
         result.triangles,
         np.ones(len(result.triangles), np.int64),
-        boundary.edges,
-        boundary.tags + 1,
-        _corners(result.points[:, :2], boundary.edges, boundary.tags),
-        {number: name for number, name in enumerate(boundary.names, 1)},
+        curves.edges,
+        curves.tags + 1,
+        np.union1d(corners, result.constraints.points),
+        {number: name for number, name in enumerate(curves.names, 1)},
     )
 
 
@@ -107,7 +108,7 @@ def remesh(
         points, triangles, faces = made.points, made.triangles, made.carrier.faces
     else:
         result = equimesh.remesh(follow, tol, to_field(old).outline(0.0), **options)
-        if not result.status.ok:
+        if not result.status.usable:
             raise InputError(result.status.value)
         points, triangles = np.ascontiguousarray(result.points[:, :2]), result.triangles
         faces = Carrier.between((old.points, old.triangles), (points, triangles)).faces

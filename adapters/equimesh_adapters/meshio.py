@@ -1,7 +1,7 @@
 """meshio objects, and the files that meshio reads: vtu, vtk, xdmf.
 
-A result becomes triangles and, after them, the lines of its boundary. Every cell belongs to one
-named group, ``surface`` or a boundary curve: ``cell_sets`` by name, and in ``field_data`` each
+A result becomes triangles and, after them, the lines of its boundary and of its constraints. Every
+cell belongs to one named group, ``surface`` or a curve: ``cell_sets`` by name, and in ``field_data`` each
 name's number and dimension, as for Gmsh's physical groups. ``point_data`` has the ``value`` of
 every vertex and ``cell_data`` the largest ``error`` of every triangle, on lines that of the
 triangle beside. Files of these kinds have no named groups: there, meshio's own convention is
@@ -59,7 +59,7 @@ def from_result(result: equimesh.Result) -> meshio.Mesh:
     """A result as a meshio mesh with its named groups, values and errors."""
     import meshio
 
-    boundary, count = result.boundary, len(result.triangles)
+    boundary, count = result.curves, len(result.triangles)
     names = {name: boundary.tags == i for i, name in enumerate(boundary.names)}
     none = np.zeros(0, np.int64)
     cells = [("triangle", result.triangles.copy())]
@@ -178,7 +178,7 @@ def write_msh2(path: Path, result: equimesh.Result) -> None:
     """
     import meshio
 
-    boundary = result.boundary
+    boundary = result.curves
     groups = [np.ones(len(result.triangles), np.int32), np.asarray(boundary.tags, np.int32) + 1]
     names = {"surface": np.array([1, 2])}
     names |= {name: np.array([i + 1, 1]) for i, name in enumerate(boundary.names)}

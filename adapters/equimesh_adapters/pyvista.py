@@ -98,7 +98,7 @@ def remesh(
     source = _source(dataset, scalars)
     if isinstance(source, _Grid):
         result = equimesh.remesh(to_field(dataset, scalars=scalars, up=up), tol, **options)
-        if not result.status.ok:
+        if not result.status.usable:
             raise InputError(result.status.value)
         new = from_result(result, source.scalars)
         carrier = source.carrier(result.points, result.triangles)

@@ -87,7 +87,7 @@ def remesh(
     Raises InputError where the tolerance is not met.
     """
     result = equimesh.remesh(to_field(raster, band=band), tol, **options)
-    if not result.status.ok:
+    if not result.status.usable:
         raise InputError(result.status.value)
     return from_result(result, raster, band=band)
 

@@ -88,8 +88,8 @@ def remeshed(
 ) -> Remeshed:
     """``equimesh.remesh`` on every body.
 
-    A share of the range of heights means that of the body with the largest range; a ``target`` is
-    divided among the bodies in the proportion of their triangles.
+    A share of the range of heights means that of the body with the largest range; ``target`` and
+    ``max_triangles`` are divided among the bodies in the proportion of their triangles.
 
     Raises
     ------
@@ -102,14 +102,15 @@ def remeshed(
              for k, b in enumerate(bodies)]  # fmt: skip
     if len(bodies) > 1:
         tol = _shared_tolerance(tol, parts)
-    target = options.pop("target", None)
+    counts = {name: options.pop(name) for name in ("target", "max_triangles") if name in options}
     results = []
     for k, (body, field) in enumerate(zip(bodies, parts, strict=True)):
-        if target is not None:
+        for name, count in counts.items():
             share = len(body.faces) / len(triangles)
-            options["target"] = target if len(bodies) == 1 else max(2, int(target * share))
+            whole = count is None or len(bodies) == 1
+            options[name] = count if whole else max(2, int(count * share))
         result = _named(k, bodies, equimesh.remesh, field, tol, **options)
-        if not result.status.ok:
+        if not result.status.usable:
             raise InputError(result.status.value)
         results.append(_placed(result, field, body, points[body.vertices]))
     return _joined(results)

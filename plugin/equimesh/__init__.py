@@ -8,13 +8,14 @@ from equimesh.flat import FlatMesh, flat_mesh
 from equimesh.flatness import Flatness, flatness
 from equimesh.profile import Profile, profile
 from equimesh.remesh import remesh
-from equimesh.result import Boundary, Result, Status
+from equimesh.result import Boundary, Constraints, Result, Status
 from equimesh.riemann.metric import Metric
 from equimesh.transform import FlatMap
 
 __all__ = [
     "Boundary",
     "Cancelled",
+    "Constraints",
     "Field",
     "FlatMap",
     "FlatMesh",

@@ -18,12 +18,13 @@ from equimesh.fields.kernel import KernelField
 from equimesh.fields.patch_kernels import derivatives2
 from equimesh.metric import frame_at
 
-__all__ = ["BoundaryNodes", "boundary_nodes"]
+__all__ = ["BoundaryNodes", "boundary_nodes", "side_nodes"]
 
 # Share of the Euclidean length in y-space that a saddle's boundary edges keep where they run along
 # a null direction, in which the one-dimensional error alone would ask for no nodes at all.
 _NULL_SHARE = 0.6
 _EDGE_CONVEX = 0.5 * math.sqrt(3.0)
+_SPACING = 1.06  # of nodes on a side, in units of the lattice's edges
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +88,28 @@ def _side_nodes(f, child, coef, ax, ay, bx, by, eight_tol, floor, spacing, out):
     return found
 
 
+def side_nodes(
+    field: KernelField,
+    a: NDArray[np.float64],
+    b: NDArray[np.float64],
+    tol: float,
+    floor: float,
+    spacing: float = _SPACING,
+) -> NDArray[np.float64]:
+    """(n, 2) equidistributed nodes between a and b (see ``boundary_nodes``)."""
+    flip = tuple(a) > tuple(b)  # both owners of a shared side walk it the same way
+    p, q = (b, a) if flip else (a, b)
+    buffer = np.empty(2_000_000)
+    found = _side_nodes(
+        field.frame, field.child, field.coef, p[0], p[1], q[0], q[1],
+        8.0 * tol, floor, spacing, buffer,
+    )  # fmt: skip
+    inner = p + buffer[:found, None] * (q - p)
+    return np.asarray(inner[::-1] if flip else inner)
+
+
 def boundary_nodes(
-    field: KernelField, sides: Sides, tol: float, floor: float, spacing: float = 1.06
+    field: KernelField, sides: Sides, tol: float, floor: float, spacing: float = _SPACING
 ) -> BoundaryNodes:
     """Equidistribute nodes on every side (local coordinates).
 
@@ -97,19 +118,10 @@ def boundary_nodes(
     """
     points, side, corner = [], [], []
     start = np.zeros(len(sides.corners), np.int64)
-    buffer = np.empty(2_000_000)
     count = 0
     for i, a in enumerate(sides.corners):
-        b = sides.corners[sides.following[i]]
-        flip = tuple(a) > tuple(b)  # both owners of a shared side walk it the same way
-        p, q = (b, a) if flip else (a, b)
-        found = _side_nodes(
-            field.frame, field.child, field.coef, p[0], p[1], q[0], q[1],
-            8.0 * tol, floor, spacing, buffer,
-        )  # fmt: skip
-        s = buffer[:found].copy()
-        inner = p + s[:, None] * (q - p)
-        inner = inner[::-1] if flip else inner
+        inner = side_nodes(field, a, sides.corners[sides.following[i]], tol, floor, spacing)
+        found = len(inner)
         start[i] = count
         points.append(np.vstack([a[None], inner]))
         side.append(np.full(found + 1, i))

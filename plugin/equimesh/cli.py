@@ -1,7 +1,8 @@
 """The command line: ``equimesh remesh``, ``equimesh profile`` and ``equimesh paper``.
 
 Exit status: 0 when the tolerance is met and the files are written, 1 with one sentence on stderr
-when they are not, 2 for wrong usage.
+when they are not, 2 for wrong usage, 3 when the files are written but ``--max-triangles`` ended the
+run before the tolerance.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from equimesh.errors import Cancelled, InputError
 from equimesh.fields.surface import Surface
 
 __all__ = ["app", "main"]
+
+_LIMITED = 3  # exit status
 
 app = typer.Typer(
     help="The fewest triangles for a surface z = f(x, y) within a certified tolerance.",
@@ -101,8 +104,21 @@ def remesh(
     target: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="This many triangles instead of --tol.")
     ] = None,
+    most: Annotated[
+        int | None,
+        typer.Option(
+            "--max-triangles",
+            min=2,
+            metavar="N",
+            help="Beside --tol: no more than these; exit status 3 if they do not reach it.",
+        ),
+    ] = None,
     function: FunctionOption = None,
     domain: DomainOption = None,
+    breaklines: Annotated[
+        str | None,
+        typer.Option(metavar="FILE", help="Lines that must be edges, points that must be vertices."),
+    ] = None,
     fit: Annotated[
         Fit, typer.Option(help="best: vertices may leave the surface, within the tolerance.")
     ] = Fit.interpolate,
@@ -120,6 +136,8 @@ def remesh(
         raise typer.BadParameter("give INPUT and OUTPUT, or --function and OUTPUT")
     if (tol is None) == (target is None):
         raise typer.BadParameter("give either --tol or --target")
+    if most is not None and tol is None:
+        raise typer.BadParameter("give --tol with --max-triangles")
     with _plain_errors():
         *inputs, output = files
         formats.writer(output)
@@ -133,10 +151,12 @@ def remesh(
 
         with _progress_bar() as progress:
             result = equimesh.remesh(
-                field, tol, region, target=target, fit=fit.value, effort=effort.value,
-                seed=seed, progress=progress, bound=None if bound is None else bound.value,
+                field, tol, region, target=target, max_triangles=most, fit=fit.value,
+                effort=effort.value, seed=seed, progress=progress,
+                bound=None if bound is None else bound.value,
+                constraints=() if breaklines is None else breaklines,
             )  # fmt: skip
-        if not result.status.ok:
+        if not result.status.usable:
             raise InputError(result.status.value)
         figures = report.of_result(result, {"read": read, **result.timings})
         placed = formats.in_space(result, field)
@@ -145,6 +165,8 @@ def remesh(
             written[plot_file] = lambda path: plot.save_plot(path, result.profile, result.tol)
         _finish(written, figures, report_file)
         _show(figures, function or result.input_size, [*getattr(field, "notes", ()), *result.notes])
+    if not result.status.ok:
+        raise typer.Exit(_LIMITED)
 
 
 @app.command()

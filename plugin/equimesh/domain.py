@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TypeAlias
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from equimesh.errors import InputError
 
-__all__ = ["DomainLike", "Sides", "domain_geometry", "sides_of", "strips_of"]
+__all__ = ["DomainLike", "Lines", "Sides", "domain_geometry", "sides_of", "strips_of"]
 
 DomainLike: TypeAlias = Sequence[float] | shapely.Geometry | None
 
@@ -71,18 +71,54 @@ def domain_geometry(domain: DomainLike) -> shapely.Geometry:
     return geometry
 
 
+def _none(columns: int, kind: type) -> Any:
+    return field(default_factory=lambda: np.empty((0, columns), kind))
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Straight lines inside a domain that must be edges of its mesh, and points in it.
+
+    ``nodes`` (n, 2) are inner points that must be vertices; vertices are numbered corners first,
+    nodes after them. ``edges`` (e, 2) join them and meet in common ends only. Rows of ``edge_tags``
+    (edge, name), ``side_tags`` (side, name) and ``point_tags`` (vertex, name) tell what was asked
+    for by which of the ``names``.
+    """
+
+    nodes: NDArray[np.float64] = _none(2, float)
+    edges: NDArray[np.int64] = _none(2, np.int64)
+    edge_tags: NDArray[np.int64] = _none(2, np.int64)
+    side_tags: NDArray[np.int64] = _none(2, np.int64)
+    point_tags: NDArray[np.int64] = _none(2, np.int64)
+    names: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Sides:
     """The straight sides of a domain.
 
     ``corners`` (k, 2); side i runs from corner ``i`` to corner ``following[i]`` with the domain on
-    its left (outer rings counter-clockwise, holes clockwise); ``tags`` (k,) index ``names``.
+    its left (outer rings counter-clockwise, holes clockwise); ``tags`` (k,) index ``names``;
+    ``lines`` are the constraints inside.
     """
 
     corners: NDArray[np.float64]
     following: NDArray[np.int64]
     tags: NDArray[np.int64]
     names: tuple[str, ...]
+    lines: Lines = field(default_factory=Lines)
+
+    @property
+    def vertices(self) -> NDArray[np.float64]:
+        """(k + n, 2) corners and, after them, the nodes of the lines."""
+        return np.vstack([self.corners, self.lines.nodes])
+
+    @property
+    def segments(self) -> NDArray[np.float64]:
+        """(k + e, 4) ends of the sides and, after them, of the lines."""
+        sides = np.hstack([self.corners, self.corners[self.following]])
+        return np.vstack([sides, self.vertices[self.lines.edges].reshape(-1, 4)])
 
 
 def sides_of(geometry: shapely.Geometry) -> Sides:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from equimesh.boundary import boundary_nodes
+from equimesh.boundary import boundary_nodes, side_nodes
 from equimesh.domain import Sides
 from equimesh.errors import InputError
 from equimesh.fields.base import Field
@@ -30,8 +32,8 @@ class FirstMesh:
     """A mesh in local coordinates with the sides of its domain.
 
     ``sides`` has the user's corners, directed as local coordinates see them. ``corner_of`` (n,)
-    tells which corner each first vertex is, -1 for none. ``settled``: no vertex but the corners is
-    needed.
+    tells which of ``sides.vertices`` each first vertex is, -1 for none. ``settled``: no further
+    vertex is needed. Vertices slide on rows of ``sides.segments``.
     """
 
     mesh: Mesh
@@ -53,43 +55,116 @@ def first_mesh(
     ``error``: that of the lattice's triangles in units of the tolerance.
     """
     sides = _handed(sides, frame)
-    local = Sides(frame.to_local(sides.corners), sides.following, sides.tags, sides.names)
-    segments = np.hstack([local.corners, local.corners[local.following]])
-    points, edges, side, corner_of = _corners_only(local)
+    local = dataclasses.replace(
+        sides,
+        corners=frame.to_local(sides.corners),
+        lines=dataclasses.replace(sides.lines, nodes=frame.to_local(sides.lines.nodes)),
+    )
+    ring = _corners_only(local)
+    chains = _Chains(np.empty((0, 2)), sides.lines.edges, np.empty(0, np.int64))
     inner = np.empty((0, 2))
     settled = kernel.kind == PATCHES and _coarse_is_enough(surface, sides, tol)
     if kernel.kind == PATCHES and not settled:
-        coarse = constrained_delaunay(points, edges)
+        coarse, edges, walls = _outline(ring, local, chains)
         extent = float(np.ptp(local.corners, axis=0).max())
         floor = 1.0 / extent**2
-        expected = lattice_size(kernel, points, coarse, tol, floor)
+        expected = lattice_size(
+            kernel, coarse, constrained_delaunay(coarse, edges, walls), tol, floor
+        )
         if expected > _MOST:
             raise InputError(
                 f"The tolerance asks for about {expected:.1e} triangles: raise it, or mesh the "
                 "domain in parts."
             )
-        nodes = boundary_nodes(kernel, local, tol * error / SETTLED, floor)
-        inner = lattice_points(kernel, local, nodes, error * tol, floor, int(expected) + 10)
+        height = tol * error / SETTLED
+        nodes = boundary_nodes(kernel, local, height, floor)
         corner = np.where(nodes.corner, nodes.side, -1)
-        points, edges, side, corner_of = _merged(nodes.points, nodes.following, nodes.side, corner)
+        ring = _merged(nodes.points, nodes.following, nodes.side, corner)
+        chains = _equidistributed(kernel, local, height, floor)
+        inner = lattice_points(
+            kernel, local, nodes, error * tol, floor, int(expected) + 10,
+            obstacles=chains.segments(local),
+        )  # fmt: skip
+    points, edges, walls = _outline(ring, local, chains)
     every = np.vstack([points, inner])
-    triangles = constrained_delaunay(every, edges)
+    triangles = constrained_delaunay(every, edges, walls)
+    b, n = len(ring.points), len(local.lines.nodes)
+    corner_of = np.full(len(every), -1, np.int64)
+    corner_of[:b] = ring.corner
+    corner_of[b : b + n] = len(local.corners) + np.arange(n)
     kind = np.full(len(every), FREE, np.int8)
-    kind[: len(points)] = np.where(corner_of >= 0, FIXED, SLIDES)
+    kind[: len(points)] = np.where(corner_of[: len(points)] >= 0, FIXED, SLIDES)
     side_of = np.zeros(len(every), np.int64)
-    side_of[: len(points)] = side
+    side_of[:b] = ring.side
+    side_of[b + n : len(points)] = len(local.corners) + chains.edge
     user = frame.to_user(every)
     known = np.flatnonzero(corner_of >= 0)
-    user[known] = sides.corners[corner_of[known]]
+    user[known] = sides.vertices[corner_of[known]]
     z = surface.value(user[:, 0], user[:, 1])
-    mesh = build(np.column_stack([every, z]), triangles, kind, side_of, segments)
+    mesh = build(np.column_stack([every, z]), triangles, kind, side_of, local.segments, walls)
     return FirstMesh(mesh, sides, corner_of, settled)
 
 
+class _Ring(NamedTuple):
+    """Boundary nodes: where, joined how, on which side, which corner (-1: none), and the place
+    (k,) of every corner."""
+
+    points: NDArray[np.float64]
+    edges: NDArray[np.int64]
+    side: NDArray[np.int64]
+    corner: NDArray[np.int64]
+    place: NDArray[np.int64]
+
+
+class _Chains(NamedTuple):
+    """Constraint lines cut by sliding nodes.
+
+    ``points`` (c, 2) slide on ``edge`` (c,); ``walls`` (w, 2) number corners, nodes of the lines
+    and then these.
+    """
+
+    points: NDArray[np.float64]
+    walls: NDArray[np.int64]
+    edge: NDArray[np.int64]
+
+    def segments(self, local: Sides) -> NDArray[np.float64]:
+        """(w + p, 4) walls and, as segments without length, points that no wall reaches."""
+        vertices = np.vstack([local.vertices, self.points])
+        alone = np.setdiff1d(np.arange(len(local.corners), len(vertices)), self.walls)
+        ends = np.vstack([self.walls, np.stack([alone, alone], 1)])
+        return np.asarray(vertices[ends].reshape(-1, 4))
+
+
+def _equidistributed(kernel: KernelField, local: Sides, tol: float, floor: float) -> _Chains:
+    """Nodes on every constraint line as on a side of the domain."""
+    points, walls, owner = [np.empty((0, 2))], [np.empty((0, 2), np.int64)], []
+    vertices = local.vertices
+    count = len(vertices)
+    for number, (a, b) in enumerate(local.lines.edges.tolist()):
+        found = side_nodes(kernel, vertices[a], vertices[b], tol, floor)
+        chain = np.concatenate([[a], count + np.arange(len(found)), [b]])
+        points.append(found)
+        walls.append(np.stack([chain[:-1], chain[1:]], 1))
+        owner.append(np.full(len(found), number))
+        count += len(found)
+    return _Chains(np.vstack(points), np.vstack(walls), np.concatenate([np.empty(0, int), *owner]))
+
+
+def _outline(
+    ring: _Ring, local: Sides, chains: _Chains
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Points on the boundary and on constraints, boundary edges, and edges of constraints."""
+    nodes = local.lines.nodes
+    points = np.vstack([ring.points, nodes, chains.points])
+    place = np.concatenate([ring.place, np.arange(len(ring.points), len(points))])
+    return points, ring.edges, place[chains.walls]
+
+
 def _coarse_is_enough(surface: Field, sides: Sides, tol: float) -> bool:
-    """Whether the domain's corners alone make a mesh within the tolerance."""
-    points, edges, _, _ = _corners_only(sides)
-    triangles = constrained_delaunay(points, edges)
+    """Whether the domain's corners and the constraints alone make a mesh within the tolerance."""
+    chains = _Chains(np.empty((0, 2)), sides.lines.edges, np.empty(0, np.int64))
+    points, edges, walls = _outline(_corners_only(sides), sides, chains)
+    triangles = constrained_delaunay(points, edges, walls)
     z = surface.value(points[:, 0], points[:, 1])
     _, bounds = surface.errors(np.column_stack([points, z]), triangles, tol)
     return bool((bounds <= tol).all())
@@ -101,12 +176,13 @@ def _handed(sides: Sides, frame: Frame) -> Sides:
         return sides
     before = np.empty_like(sides.following)
     before[sides.following] = np.arange(len(before))
-    return Sides(sides.corners, before, sides.tags[before], sides.names)
+    side, name = sides.lines.side_tags.T
+    side_tags = np.stack([sides.following[side], name], 1)
+    lines = dataclasses.replace(sides.lines, side_tags=side_tags)
+    return Sides(sides.corners, before, sides.tags[before], sides.names, lines)
 
 
-def _corners_only(
-    sides: Sides,
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _corners_only(sides: Sides) -> _Ring:
     n = np.arange(len(sides.corners))
     return _merged(sides.corners, sides.following, n, n)
 
@@ -116,10 +192,10 @@ def _merged(
     following: NDArray[np.int64],
     side: NDArray[np.int64],
     corner: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+) -> _Ring:
     """Boundary nodes without duplicates (rings may touch in a corner) and their directed edges."""
     _, first, place = np.unique(points, axis=0, return_index=True, return_inverse=True)
     order = np.sort(first)
     index = np.searchsorted(order, first)[place.ravel()]
     edges = np.stack([index, index[following]], 1)
-    return points[order], edges, side[order], corner[order]
+    return _Ring(points[order], edges, side[order], corner[order], index[corner >= 0])

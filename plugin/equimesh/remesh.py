@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import shapely
 
+from equimesh.constraints import with_constraints
 from equimesh.domain import DomainLike, domain_geometry, sides_of
 from equimesh.drafts import best_draft
 from equimesh.errors import Cancelled, InputError
@@ -19,7 +20,7 @@ from equimesh.fields import Bound, Field, Source, as_field
 from equimesh.metric import lower_bound
 from equimesh.optimise.driver import EFFORTS, optimise, repair
 from equimesh.optimise.mesh import Mesh
-from equimesh.outcome import user_mesh
+from equimesh.outcome import tagged_constraints, user_mesh
 from equimesh.profile import profile_of
 from equimesh.result import Result, Status
 from equimesh.riemann.metric import Metric
@@ -62,11 +63,12 @@ def remesh(
     domain: DomainLike = None,
     *,
     target: int | None = None,
+    max_triangles: int | None = None,
     fit: Fit = "interpolate",
     effort: Effort = "balanced",
     seed: int = 0,
     progress: Progress | None = None,
-    constraints: Sequence[Any] = (),
+    constraints: Any = (),
     bound: Bound | None = None,
 ) -> Result:
     """The mesh with few triangles that represents a surface to within a tolerance.
@@ -84,6 +86,10 @@ def remesh(
         have an outline of their own, which a domain cuts.
     target
         A number of triangles instead of ``tol``: the smallest tolerance that it reaches.
+    max_triangles
+        With ``tol``: where so many triangles do not reach it, the mesh with the smallest tolerance
+        that they reach. Then the status is ``LIMITED``, which is not ``ok``, and ``result.tol`` is
+        the certified tolerance.
     fit
         ``"interpolate"``: vertices lie on the surface.
     effort
@@ -92,6 +98,10 @@ def remesh(
         Same input and seed give the same bytes.
     progress
         Called as ``progress(stage, fraction)``; returning False cancels (``Cancelled`` is raised).
+    constraints
+        Lines that must be edges of the mesh and points that must be vertices: shapely geometries
+        or (n, 2) arrays in a sequence, a mapping ``{name: lines}``, or a GeoJSON file. Lines may
+        cross; what lies outside the domain is cut off. ``result.constraints`` has their edges.
     bound
         For rasters: ``"surface"``, the error counts everywhere on the bilinear surface (so it does
         if nothing is said), or ``"samples"``, at the samples only.
@@ -114,17 +124,21 @@ def remesh(
     if isinstance(source, Metric):
         from equimesh.riemann.remesh import remesh_metric
 
+        if max_triangles is not None:
+            raise InputError("A metric takes no max_triangles=: give target=, or tol= alone.")
         return remesh_metric(
             source, tol, domain, target=target, fit=fit, effort=effort, seed=seed,
             progress=progress, constraints=constraints,
         )  # fmt: skip
-    _check_options(tol, target, fit, effort, seed, constraints)
-    if target is not None:
+    _check_options(tol, target, max_triangles, fit, effort, seed)
+    most = max_triangles if target is None else target
+    if most is not None:
         from equimesh.target import remesh_to_target
 
         return remesh_to_target(
-            source, int(target), domain, effort=effort, seed=seed, progress=progress, bound=bound
-        )
+            source, most, domain, tol, effort=effort, seed=seed, progress=progress, bound=bound,
+            constraints=constraints,
+        )  # fmt: skip
     assert tol is not None
     stages = _Stages(progress)
     with stages.stage("field"):
@@ -136,7 +150,8 @@ def remesh(
         kernel = surface.kernel(covered, height)
         frame = surface.frame(covered)
     with stages.stage("seed"):
-        start = best_draft(surface, kernel, sides_of(covered), frame, _AIM * height, effort)
+        sides = with_constraints(sides_of(covered), constraints, covered, frame)
+        start = best_draft(surface, kernel, sides, frame, _AIM * height, effort)
     with stages.stage("optimise") as report:
         mesh, good = optimise(kernel, start.mesh, _AIM * height, effort, report)
     with stages.stage("certify"):
@@ -165,31 +180,35 @@ def remesh(
         seed=seed,
         input_size=surface.size,
         timings=stages.seconds,
-        notes=tuple(getattr(surface, "notes", ())),
+        notes=(*getattr(surface, "notes", ()), *sides.lines.notes),
         metadata=dict(getattr(surface, "metadata", {})),
+        constraints=tagged_constraints(mesh, start),
     )
 
 
 def _check_options(
     tol: float | str | None,
     target: int | None,
+    max_triangles: int | None,
     fit: str,
     effort: str,
     seed: int,
-    constraints: Sequence[Any],
 ) -> None:
     if (tol is None) == (target is None):
         raise InputError("Give either tol= or target=, one of the two.")
-    if target is not None and int(target) < 2:
-        raise InputError(f"The target is {target} triangles: give 2 or more.")
+    if target is not None and max_triangles is not None:
+        raise InputError("max_triangles= goes with tol=: leave it out beside target=.")
+    counts: dict[str, Any] = {"target": target, "max_triangles": max_triangles}
+    for name, count in counts.items():
+        whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
+        if count is not None and not (whole and count >= 2):
+            raise InputError(f"{name}={count!r} is no number of triangles: give 2 or more.")
     if effort not in EFFORTS:
         raise InputError(f"The effort {effort!r} is unknown: choose fast, balanced or best.")
     if fit == "best":
         raise InputError("fit='best' is not offered yet: use fit='interpolate'.")
     if fit != "interpolate":
         raise InputError(f"The fit {fit!r} is unknown: use interpolate.")
-    if len(constraints):
-        raise InputError("Constraint lines are not offered yet: leave constraints= empty.")
     if isinstance(seed, bool) or int(seed) != seed or seed < 0:
         raise InputError(f"The seed is {seed!r}: give an integer of 0 or more.")
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from equimesh.profile import Profile
 
-__all__ = ["Boundary", "Result", "Status"]
+__all__ = ["Boundary", "Constraints", "Result", "Status"]
 
 
 class Status(enum.Enum):
@@ -22,6 +22,11 @@ class Status(enum.Enum):
     NOT_CONVERGED = (
         "the error exceeds the tolerance in places: the surface may have a jump or finer detail "
         "than double precision resolves there; raise the tolerance or cut the domain along the jump"
+    )
+    LIMITED = (
+        "the number of triangles ended the run before the tolerance that was asked for: the error "
+        "is certified to be at most the larger one that the result tells; allow more triangles or "
+        "raise the tolerance"
     )
     UNIT = "at least 98 % of the edges have a metric length from 1/sqrt(2) to sqrt(2)"
     NOT_UNIT = (
@@ -34,6 +39,11 @@ class Status(enum.Enum):
     def ok(self) -> bool:
         """Whether the tolerance is met, or the mesh is unit in its metric."""
         return self in (Status.CONVERGED, Status.UNIT)
+
+    @property
+    def usable(self) -> bool:
+        """Whether the mesh is what was asked for, if only up to ``max_triangles``."""
+        return self.ok or self is Status.LIMITED
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +63,24 @@ class Boundary:
 
 
 @dataclass(frozen=True, eq=False)
+class Constraints(Boundary):
+    """Edges and vertices of a mesh that stand for constraints.
+
+    ``edges`` (k, 2) vertex indices, ``tags`` (k,) indices into ``names``: an edge is listed once
+    for every name that asked for it. ``points`` (p,) are vertices that had to be, ``point_tags``
+    (p,) their names.
+    """
+
+    points: NDArray[np.int64]
+    point_tags: NDArray[np.int64]
+
+
+def _no_constraints() -> Constraints:
+    none = np.empty(0, np.int64)
+    return Constraints(none.reshape(0, 2), none, (), none, none)
+
+
+@dataclass(frozen=True, eq=False)
 class Result:
     """A certified mesh.
 
@@ -67,7 +95,8 @@ class Result:
     profile
         Every triangle's error and its bound.
     tol
-        The tolerance in units of z.
+        The tolerance in units of z; where the number of triangles was given or ended the run, the
+        one that it reached.
     lower_bound
         N*: no interpolating mesh has fewer triangles as tol -> 0; nan where the surface is too
         rough for second derivatives to mean anything.
@@ -80,6 +109,8 @@ class Result:
     metadata
         What the source knows beside its heights and a mesh should keep: of a raster ``crs``, its
         coordinate reference system as text, and ``prj``, the same as Esri writes it.
+    constraints
+        Edges and vertices that breaklines and points asked for, by their names.
     """
 
     points: NDArray[np.float64]
@@ -94,6 +125,20 @@ class Result:
     timings: dict[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    constraints: Constraints = field(default_factory=_no_constraints)
+
+    @property
+    def curves(self) -> Boundary:
+        """The boundary and after it the constraints: all named curves, every edge in one of them.
+
+        An edge that several ask for belongs to the first.
+        """
+        own, more = self.boundary, self.constraints
+        edges = np.vstack([own.edges, more.edges])
+        _, first = np.unique(np.sort(edges, 1), axis=0, return_index=True)
+        first.sort()
+        tags = np.concatenate([own.tags, more.tags + len(own.names)])
+        return Boundary(edges[first], tags[first], own.names + more.names)
 
     @property
     def efficiency(self) -> float:

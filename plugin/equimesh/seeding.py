@@ -31,6 +31,7 @@ def lattice_points(
     gap: float = _GAP,
     merge: float = _MERGE,
     start: NDArray[np.float64] | None = None,
+    obstacles: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Interior vertices of the lattice for tolerance ``tol`` (local coordinates).
 
@@ -40,24 +41,24 @@ def lattice_points(
         About how many vertices will be laid; three times as many are the limit.
     start
         (k, 3) places and gauges to try as seeds before the quasi-random ones.
+    obstacles
+        (w, 4) segments inside the domain to keep away from as from the boundary.
 
     Returns
     -------
     (n, 2) float
     """
-    b = len(nodes.points)
+    points, neighbours = _obstacles(nodes, np.empty((0, 4)) if obstacles is None else obstacles)
+    b = len(points)
     capacity = b + 3 * expected + 1000
     px, py = np.empty(capacity), np.empty(capacity)
-    px[:b], py[:b] = nodes.points.T
+    px[:b], py[:b] = points.T
     tree, link, used = make_tree(capacity)
     low, high = sides.corners.min(0), sides.corners.max(0)
     extent = float((high - low).max())
     box = np.array([low[0], low[1], extent * (1.0 + 1e-9)])
     for i in range(b):
         insert(tree, link, used, box, px, py, i)
-    previous = np.empty(b, np.int64)
-    previous[nodes.following] = np.arange(b)
-    neighbours = np.stack([nodes.following, previous], 1)
     segments = np.hstack([sides.corners, sides.corners[sides.following]])
     strips = strips_of(segments)
     seeds = _halton(max(64, 2 * expected)) * (high - low) + low
@@ -71,6 +72,20 @@ def lattice_points(
         seeds, gap, merge,
     )  # fmt: skip
     return np.stack([px[b:count], py[b:count]], 1)
+
+
+def _obstacles(
+    nodes: BoundaryNodes, segments: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """(b, 2) points of the boundary and of segments, and (b, 2) the neighbours of each."""
+    n, w = len(nodes.points), len(segments)
+    previous = np.empty(n, np.int64)
+    previous[nodes.following] = np.arange(n)
+    ends = n + np.concatenate([np.arange(w, 2 * w), np.arange(w)])
+    return (
+        np.vstack([nodes.points, segments[:, :2], segments[:, 2:]]),
+        np.vstack([np.stack([nodes.following, previous], 1), np.stack([ends, ends], 1)]),
+    )
 
 
 def _halton(n: int) -> NDArray[np.float64]:

@@ -317,12 +317,12 @@ def _inner_error(
         if by < ay:
             ax, ay, az, bx, by, bz = bx, by, bz, ax, ay, az
     per_ac, per_ab, per_bc = _inverse(cy - ay), _inverse(by - ay), _inverse(cy - by)
-    top = min(math.floor(cy + slack), rows - 1)
-    for j in range(max(math.ceil(ay - slack), 0), top + 1):
-        p = min(max((j - ay) * per_ac, 0.0), 1.0)
+    thin = 64.0 * slack
+    for j in range(max(math.ceil(ay), 0), min(math.floor(cy), rows - 1) + 1):
+        p = min((j - ay) * per_ac, 1.0)
         x0, z0 = ax + p * (cx - ax), az + p * (cz - az)
         if j < by:
-            q = min(max((j - ay) * per_ab, 0.0), 1.0)
+            q = min((j - ay) * per_ab, 1.0)
             x1, z1 = ax + q * (bx - ax), az + q * (bz - az)
         else:
             q = min((j - by) * per_bc, 1.0)
@@ -334,7 +334,7 @@ def _inner_error(
         if first > last:
             continue
         width = x1 - x0
-        slope = (z1 - z0) * _inverse(width) if width > 64.0 * slack else 0.0
+        slope = (z1 - z0) / width if width > thin else 0.0
         for i in range(first, last + 1):
             e = grid[j, i] - (z0 + (i - x0) * slope)
             if abs(e) > worst:

@@ -17,6 +17,8 @@ from equimesh.optimise.topology import ample, flip, star
 
 __all__ = ["refine"]
 
+_WIDE = -0.87  # the cosine of the angle above a wall, 150 degrees
+
 
 @compiled
 def _push(heap, key, size, t, e):
@@ -108,12 +110,35 @@ def _collect(m, heap, key):
 
 
 @compiled
+def _split_wall_beside(F, m, tol, t, x, y):
+    """A vertex on the wall of t that a vertex at (x, y) would come too near to; -1 where none is.
+
+    As in Ruppert's refinement ("A Delaunay refinement algorithm", 1995), whose segments give way
+    to a vertex in their circle: vertices would crowd towards a wall, flips being unable to part
+    them from it. Here they give way where the angle above them is wide.
+    """
+    for k in range(3):
+        if m.wall[t, k] == 1:
+            a, b = m.tv[t, k], m.tv[t, (k + 1) % 3]
+            ax, ay, bx, by = m.x[a] - x, m.y[a] - y, m.x[b] - x, m.y[b] - y
+            if ax * bx + ay * by < _WIDE * math.sqrt((ax * ax + ay * ay) * (bx * bx + by * by)):
+                dx, dy = bx - ax, by - ay
+                s = -(ax * dx + ay * dy) / (dx * dx + dy * dy)
+                if 0.0 < s < 1.0:
+                    return split_edge(F, m, tol, t, k, s)
+    return -1
+
+
+@compiled
 def _split_at(F, m, tol, t, x, y):
     """A vertex at a point of t: on the nearest edge where it is too close to one for an inner
     vertex.
 
     -1 where the point is a corner of t, or outside it.
     """
+    v = _split_wall_beside(F, m, tol, t, x, y)
+    if v >= 0:
+        return v
     v = split_inside(F, m, tol, t, x, y)
     if v >= 0:
         return v
@@ -138,9 +163,17 @@ def _split_at(F, m, tol, t, x, y):
 def _split_worst(F, m, tol, t):
     """A vertex at t's largest error; -1 where none can be.
 
-    On a raster the largest error of an edge moves to the nearest sample, if that lies in one of the
-    two triangles: a vertex between samples rarely lasts.
+    A violated wall goes first: flips cannot put it right, and vertices beside it would crowd
+    towards it. On a raster the largest error of another edge moves to the nearest sample, if that
+    lies in one of the two triangles: a vertex between samples rarely lasts.
     """
+    for i in range(3):
+        if m.wall[t, i] == 1 and abs(m.ee[t, i]) > 1.0:
+            v = split_edge(F, m, tol, t, i, m.ep[t, i])
+            if v < 0:
+                v = split_edge(F, m, tol, t, i, 0.5)
+            if v >= 0:
+                return v
     k, worst = -1, abs(m.ie[t])
     for i in range(3):
         if abs(m.ee[t, i]) > worst:
@@ -157,7 +190,13 @@ def _split_worst(F, m, tol, t):
             v = _split_at(F, m, tol, m.tn[t, k], x, y)
         if v >= 0:
             return v
-    v = split_edge(F, m, tol, t, k, s)
+    a, b = m.tv[t, k], m.tv[t, (k + 1) % 3]
+    x, y = m.x[a] + s * (m.x[b] - m.x[a]), m.y[a] + s * (m.y[b] - m.y[a])
+    v = _split_wall_beside(F, m, tol, t, x, y)
+    if v < 0 and m.tn[t, k] >= 0:
+        v = _split_wall_beside(F, m, tol, m.tn[t, k], x, y)
+    if v < 0:
+        v = split_edge(F, m, tol, t, k, s)
     return v if v >= 0 else split_edge(F, m, tol, t, k, 0.5)
 
 
@@ -193,4 +232,6 @@ def refine(F, m, tol, heap, key, most):
             worst = worst_of(m, s)
             if worst > 1.0:
                 size = _push(heap, key, size, s, worst)
+        if m.tv[t, 0] >= 0 and worst_of(m, t) == e:  # a wall beside it was split instead
+            size = _push(heap, key, size, t, e)
     return True

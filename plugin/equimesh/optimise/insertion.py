@@ -14,21 +14,28 @@ from equimesh.optimise.topology import (
     note_triangle,
     note_vertex,
     positive,
+    turns_by,
 )
 
 __all__ = ["split_edge", "split_inside"]
+
+
+# What is nearer to an edge that must stay than this share of its length belongs onto it: flips
+# cannot take away the sliver between.
+_BESIDE = 4e-7
 
 
 @compiled
 def split_inside(F, m, tol, t, x, y):
     """Put a vertex at (x, y) inside t; returns it, or -1 where that is impossible."""
     a, b, c = m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]
-    if not (
-        positive(m.x[a], m.y[a], m.x[b], m.y[b], x, y)
-        and positive(m.x[b], m.y[b], m.x[c], m.y[c], x, y)
-        and positive(m.x[c], m.y[c], m.x[a], m.y[a], x, y)
-    ):
-        return -1
+    for k in range(3):
+        i, j = m.tv[t, k], m.tv[t, (k + 1) % 3]
+        if not positive(m.x[i], m.y[i], m.x[j], m.y[j], x, y):
+            return -1
+        stays = m.tn[t, k] < 0 or m.wall[t, k] == 1
+        if stays and not turns_by(m.x[i], m.y[i], m.x[j], m.y[j], x, y, _BESIDE):
+            return -1
     z = value(F, x, y)
     if not math.isfinite(z):
         return -1
@@ -103,12 +110,10 @@ def split_edge(F, m, tol, t, k, s):
             return -1
         z = m.z[a] + s * (m.z[b] - m.z[a])
     kind, side = FREE, 0
-    if u < 0:
+    if u < 0 or wall == 1:
         kind, side = SLIDES, _common_side(m, a, b)
         if side < 0:
             kind, side = FIXED, 0
-    elif wall == 1:
-        kind = FIXED
     v = new_vertex(m, x, y, z, kind, side)
     if m.count[MODEL] == 1:
         lift(F, m, v, x, y)
@@ -163,7 +168,7 @@ def split_edge(F, m, tol, t, k, s):
 
 @compiled
 def _common_side(m, a, b):
-    """The side on which a border edge lies, -1 if its ends do not tell."""
+    """The segment on which a border edge or a wall lies, -1 if its ends do not tell."""
     if m.kind[a] == SLIDES:
         return m.side[a]
     if m.kind[b] == SLIDES:
@@ -171,5 +176,7 @@ def _common_side(m, a, b):
     for s in range(m.sides.shape[0]):
         row = m.sides[s]
         if row[0] == m.x[a] and row[1] == m.y[a] and row[2] == m.x[b] and row[3] == m.y[b]:
+            return s
+        if row[0] == m.x[b] and row[1] == m.y[b] and row[2] == m.x[a] and row[3] == m.y[a]:
             return s
     return -1

@@ -31,7 +31,8 @@ def remove_vertex(F, m, tol, v, goal):
     """Remove v and fill the hole with the triangulation of least penalty (dynamic programming).
 
     Returns the penalty of the filling, or -1 (nothing changed): v cannot go, or it is not below
-    ``goal``. A vertex on a side may go where its two border neighbours lie on the same side.
+    ``goal``. A vertex on a side may go where its two border neighbours lie on the same side; of one
+    that slides on a wall the two neighbours there are joined, and the hole is filled in two parts.
     """
     kind = m.kind[v]
     if kind != FREE and kind != SLIDES:
@@ -39,7 +40,15 @@ def remove_vertex(F, m, tol, v, goal):
     n, closed = star(m, v)
     if n == 0 or n > _MOST or (not closed and n < 2) or (closed and n < 3):
         return -1.0
-    size = n if closed else n + 1
+    first = chord = 0
+    if closed and kind == SLIDES:
+        first, chord = _wall_spokes(m, n)
+        if chord < 2 or n - chord < 2:
+            return -1.0
+    halved = chord > 0
+    joined = closed and not halved
+    # A hole in two parts has its first corner again at the end.
+    size = n if joined else n + 1
     # ring: corners of the hole; outer: triangle and wall beyond each of its edges, with its error.
     apex, stack = m.hole_i[0], m.hole_i[2]
     ring, old = m.hole_i[1, 0], m.hole_i[1, 1]
@@ -48,28 +57,32 @@ def remove_vertex(F, m, tol, v, goal):
     cost, edge_e, edge_p = m.hole_f[0], m.hole_f[1], m.hole_f[2]
     outer_e, outer_p = m.hole_f[3, 0], m.hole_f[3, 1]
     for i in range(n):
-        t, k = m.ring[1, i], m.ring[2, i]
-        if m.wall[t, k] == 1 or m.wall[t, (k + 2) % 3] == 1:
+        t, k = m.ring[1, (first + i) % n], m.ring[2, (first + i) % n]
+        if not halved and (m.wall[t, k] == 1 or m.wall[t, (k + 2) % 3] == 1):
             return -1.0
         old[i] = t
-        ring[i] = m.ring[0, i]
+        ring[i] = m.ring[0, (first + i) % n]
         outer[i] = m.tn[t, (k + 1) % 3]
         wall[i] = m.wall[t, (k + 1) % 3]
         outer_e[i], outer_p[i] = m.ee[t, (k + 1) % 3], m.ep[t, (k + 1) % 3]
     if not closed:
         ring[n] = m.ring[0, n]
+    elif halved:
+        ring[n] = ring[0]
     for i in range(size - 1):
         cost[i, i + 1] = 0.0
     for i in range(size):
         for j in range(i + 2, size):
-            if closed and i == 0 and j == size - 1:
+            if (joined and i == 0 and j == size - 1) or i < chord < j:
                 continue
             edge_e[i, j], edge_p[i, j] = edge_of(F, m, tol, ring[i], ring[j])
     for span in range(2, size):
         for i in range(size - span):
             j = i + span
+            if i < chord < j:
+                continue
             own = 0.0
-            if not (closed and i == 0 and j == size - 1):
+            if not (joined and i == 0 and j == size - 1):
                 own = penalty(m, edge_e[i, j])
             best = math.inf
             if own < goal:
@@ -86,14 +99,19 @@ def remove_vertex(F, m, tol, v, goal):
                         best = below
                         apex[i, j] = k
             cost[i, j] = best
-    filled = cost[0, size - 1]
+    if halved:
+        filled = cost[0, chord] + cost[chord, n] - penalty(m, edge_e[0, chord])
+    else:
+        filled = cost[0, size - 1]
     if not filled < goal:
         return -1.0
     for i in range(n):
         drop_triangle(m, old[i])
     drop_vertex(m, v)
-    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = 0, size - 1, -1, 0
-    top = 1
+    stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = chord, size - 1, -1, 0
+    stack[1, 0], stack[1, 1], stack[1, 2], stack[1, 3] = 0, chord, -1, 0
+    top = 2 if halved else 1
+    beyond = -1
     while top > 0:
         top -= 1
         i, j, parent, parent_edge = (
@@ -116,11 +134,16 @@ def remove_vertex(F, m, tol, v, goal):
             m.ee[t, 2], m.ep[t, 2] = edge_e[i, j], 1.0 - edge_p[i, j]
             m.ee[parent, parent_edge] = edge_e[i, j]
             m.ep[parent, parent_edge] = edge_p[i, j]
-        elif closed:
+        elif joined:
             _sew(m, t, 2, outer, wall, outer_e, outer_p, size - 1)
         else:
-            m.tn[t, 2] = -1
+            m.tn[t, 2] = beyond
             m.ee[t, 2], m.ep[t, 2] = edge_e[i, j], 1.0 - edge_p[i, j]
+            if halved:
+                m.wall[t, 2] = 1
+                if beyond >= 0:
+                    m.tn[beyond, 2] = t
+                beyond = t
         if k == i + 1:
             _sew(m, t, 0, outer, wall, outer_e, outer_p, i)
         else:
@@ -133,6 +156,20 @@ def remove_vertex(F, m, tol, v, goal):
             top += 1
         set_inner(F, m, tol, t)
     return filled
+
+
+@compiled
+def _wall_spokes(m, n):
+    """Index of the first wall among the spokes of a closed star, and steps from it to the second.
+
+    0 steps where there are not two.
+    """
+    first, second, count = 0, 0, 0
+    for i in range(n):
+        if m.wall[m.ring[1, i], m.ring[2, i]] == 1:
+            first, second = second, i
+            count += 1
+    return (first, second - first) if count == 2 else (0, 0)
 
 
 @compiled

@@ -79,13 +79,14 @@ def violations(m, limit):
 
 @compiled
 def split_borders(F, m, tol):
-    """Split border edges until none is violated by much: nothing else can lower their errors."""
+    """Split border edges and walls until none is violated by much: little else lowers their errors."""
     made = 0
     t = 0
     while t < m.count[0] and m.count[0] + 16 < m.tv.shape[0]:
         again = False
         for k in range(3):
-            if m.tv[t, 0] >= 0 and m.tn[t, k] < 0 and abs(m.ee[t, k]) > 1.5:
+            stays = m.tn[t, k] < 0 or m.wall[t, k] == 1
+            if m.tv[t, 0] >= 0 and stays and abs(m.ee[t, k]) > 1.5:
                 s = min(max(m.ep[t, k], 0.1), 0.9)
                 if split_edge(F, m, tol, t, k, s) >= 0:
                     made += 1
@@ -112,7 +113,7 @@ def split_at_worst(F, m, tol, t):
         if abs(m.ee[t, i]) > e:
             k, e = i, abs(m.ee[t, i])
     for i in range(3):
-        if m.tn[t, i] < 0 and abs(m.ee[t, i]) > 1.0:
+        if (m.tn[t, i] < 0 or m.wall[t, i] == 1) and abs(m.ee[t, i]) > 1.0:
             k = i
     if k < 0:
         v = split_inside(F, m, tol, t, m.ix[t], m.iy[t])

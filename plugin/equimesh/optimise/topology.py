@@ -19,7 +19,7 @@ from equimesh.optimise.mesh import (
 __all__ = [
     "ample",
     "begin", "commit", "drop_triangle", "drop_vertex", "flip", "new_triangle", "new_vertex",
-    "note_triangle", "note_vertex", "positive", "rollback", "room_left", "star",
+    "note_triangle", "note_vertex", "positive", "rollback", "room_left", "star", "turns_by",
 ]  # fmt: skip
 
 # Twice the area of a triangle over the squares of its edges. A split may make the thinnest
@@ -30,7 +30,8 @@ _AMPLE = 1e-9
 
 
 @compiled
-def _turn(ax, ay, bx, by, cx, cy, share):
+def turns_by(ax, ay, bx, by, cx, cy, share):
+    """Whether twice the area of a, b, c exceeds this share of the squares of two edges."""
     ux, uy, vx, vy = bx - ax, by - ay, cx - ax, cy - ay
     return ux * vy - uy * vx > share * (ux * ux + uy * uy + vx * vx + vy * vy)
 
@@ -38,13 +39,13 @@ def _turn(ax, ay, bx, by, cx, cy, share):
 @compiled
 def positive(ax, ay, bx, by, cx, cy):
     """Whether a, b, c turn left beyond doubt."""
-    return _turn(ax, ay, bx, by, cx, cy, _THINNEST)
+    return turns_by(ax, ay, bx, by, cx, cy, _THINNEST)
 
 
 @compiled
 def ample(ax, ay, bx, by, cx, cy):
     """Whether a, b, c turn left and could be split."""
-    return _turn(ax, ay, bx, by, cx, cy, _AMPLE)
+    return turns_by(ax, ay, bx, by, cx, cy, _AMPLE)
 
 
 @compiled
