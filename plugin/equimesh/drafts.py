@@ -27,10 +27,16 @@ _LARGE = 40_000  # triangles of all drafts together beyond which one is enough
 
 
 def best_draft(
-    surface: Field, kernel: KernelField, sides: Sides, frame: Frame, tol: float, effort: str
+    surface: Field,
+    kernel: KernelField,
+    sides: Sides,
+    frame: Frame,
+    tol: float,
+    effort: str,
+    two_sided: bool,
 ) -> FirstMesh:
     """The first mesh with its draft in place; on data the bare outline."""
-    lattice = first_mesh(surface, kernel, sides, frame, tol)
+    lattice = first_mesh(surface, kernel, sides, frame, tol, two_sided=two_sided)
     size = int(lattice.mesh.count[0])
     if kernel.kind != PATCHES or lattice.settled:
         return lattice
@@ -41,7 +47,7 @@ def best_draft(
     def drafted(error: float | None) -> FirstMesh:
         start = lattice
         if error is not None:
-            start = first_mesh(surface, kernel, sides, frame, tol, error)
+            start = first_mesh(surface, kernel, sides, frame, tol, error, two_sided)
         return dataclasses.replace(start, mesh=draft(kernel, start.mesh, tol, effort, error))
 
     with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:

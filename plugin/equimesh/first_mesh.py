@@ -14,7 +14,8 @@ from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.frame import Frame
 from equimesh.metric import lattice_size
-from equimesh.optimise.mesh import FIXED, FREE, SLIDES, Mesh, build
+from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, SLIDES, Mesh, build
+from equimesh.optimise.sweep import step_aside
 from equimesh.seeding import lattice_points
 from equimesh.triangulation import constrained_delaunay
 
@@ -47,10 +48,13 @@ def first_mesh(
     frame: Frame,
     tol: float,
     error: float = SETTLED,
+    two_sided: bool = False,
 ) -> FirstMesh:
     """Vertices and triangles to start from, for a tolerance in units of z.
 
-    ``error``: that of the lattice's triangles in units of the tolerance.
+    ``error``: that of the lattice's triangles in units of the tolerance. ``two_sided``: vertices
+    may leave the surface; where it is convex or concave they start beyond it (``kernel`` must know
+    it).
     """
     sides = _handed(sides, frame)
     local = Sides(frame.to_local(sides.corners), sides.following, sides.tags, sides.names)
@@ -83,6 +87,10 @@ def first_mesh(
     user[known] = sides.corners[corner_of[known]]
     z = surface.value(user[:, 0], user[:, 1])
     mesh = build(np.column_stack([every, z]), triangles, kind, side_of, segments)
+    if two_sided:
+        mesh.count[HEIGHTS] = 1
+        if kernel.kind == PATCHES and not settled:
+            step_aside(kernel, mesh, tol * error)
     return FirstMesh(mesh, sides, corner_of, settled)
 
 

@@ -42,7 +42,7 @@ def user_mesh(
     for axis in range(2):
         upright = a[:, axis] == b[:, axis]
         plane[sliding[upright], axis] = a[upright, axis]
-    z = surface.value(plane[:, 0], plane[:, 1])
+    z = surface.value(plane[:, 0], plane[:, 1]) + mesh.w[live]
     lost = ~np.isfinite(z)
     z[lost] = mesh.z[live][lost]  # on an outline drawn within the tolerance, beside the surface
     border = mesh.tn[slots] < 0

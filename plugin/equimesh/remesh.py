@@ -85,7 +85,8 @@ def remesh(
     target
         A number of triangles instead of ``tol``: the smallest tolerance that it reaches.
     fit
-        ``"interpolate"``: vertices lie on the surface.
+        ``"interpolate"``: vertices lie on the surface. ``"best"``: they may leave it by up to the
+        tolerance, which saves up to half the triangles where the surface is convex or concave.
     effort
         ``"fast"``, ``"balanced"`` or ``"best"``: time against triangles.
     seed
@@ -134,9 +135,13 @@ def remesh(
         height = tolerance(tol, surface, whole)
         covered = _covered(surface, geometry, height)
         kernel = surface.kernel(covered, height)
+        if fit == "best":
+            kernel = kernel.two_sided()
         frame = surface.frame(covered)
     with stages.stage("seed"):
-        start = best_draft(surface, kernel, sides_of(covered), frame, _AIM * height, effort)
+        start = best_draft(
+            surface, kernel, sides_of(covered), frame, _AIM * height, effort, fit == "best"
+        )
     with stages.stage("optimise") as report:
         mesh, good = optimise(kernel, start.mesh, _AIM * height, effort, report)
     with stages.stage("certify"):
@@ -184,10 +189,8 @@ def _check_options(
         raise InputError(f"The target is {target} triangles: give 2 or more.")
     if effort not in EFFORTS:
         raise InputError(f"The effort {effort!r} is unknown: choose fast, balanced or best.")
-    if fit == "best":
-        raise InputError("fit='best' is not offered yet: use fit='interpolate'.")
-    if fit != "interpolate":
-        raise InputError(f"The fit {fit!r} is unknown: use interpolate.")
+    if fit not in ("interpolate", "best"):
+        raise InputError(f"The fit {fit!r} is unknown: use interpolate or best.")
     if len(constraints):
         raise InputError("Constraint lines are not offered yet: leave constraints= empty.")
     if isinstance(seed, bool) or int(seed) != seed or seed < 0:

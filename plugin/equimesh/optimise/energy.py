@@ -20,6 +20,7 @@ from equimesh.optimise.topology import note_triangle
 
 __all__ = [
     "HINGE",
+    "ROOM",
     "evaluate_all",
     "evaluate_triangle",
     "lift",
@@ -29,6 +30,7 @@ __all__ = [
 ]
 
 HINGE = 0.985
+ROOM = 0.98  # how far vertices may leave the surface, in units of the tolerance, where they may
 _CEILING = 1e3  # beyond it, more is not worse: keeps sums finite
 
 
@@ -50,7 +52,10 @@ def penalty(m, e):
 
 @compiled
 def lift(F, m, v, x, y):
-    """Put vertex v at (x, y) on the surface; False, and nothing changed, outside the field."""
+    """Put vertex v at (x, y), its height above the surface kept.
+
+    False, and nothing changed, outside the field.
+    """
     if m.count[MODEL] == 1:
         z, _, _, hxx, hxy, hyy = derivatives2(F.frame, F.child, F.coef, x, y)
         m.h[v, 0], m.h[v, 1], m.h[v, 2] = hxx, hxy, hyy
@@ -58,7 +63,7 @@ def lift(F, m, v, x, y):
         z = value(F, x, y)
         if not math.isfinite(z):
             return False
-    m.x[v], m.y[v], m.z[v] = x, y, z
+    m.x[v], m.y[v], m.z[v] = x, y, z + m.w[v]
     return True
 
 
