@@ -49,12 +49,13 @@ def first_mesh(
     tol: float,
     error: float = SETTLED,
     two_sided: bool = False,
+    turn: int = 0,
 ) -> FirstMesh:
     """Vertices and triangles to start from, for a tolerance in units of z.
 
     ``error``: that of the lattice's triangles in units of the tolerance. ``two_sided``: vertices
     may leave the surface; where it is convex or concave they start beyond it (``kernel`` must know
-    it).
+    it). ``turn`` numbers lattices that start elsewhere and turned.
     """
     sides = _handed(sides, frame)
     local = Sides(frame.to_local(sides.corners), sides.following, sides.tags, sides.names)
@@ -73,7 +74,9 @@ def first_mesh(
                 "domain in parts."
             )
         nodes = boundary_nodes(kernel, local, tol * error / SETTLED, floor)
-        inner = lattice_points(kernel, local, nodes, error * tol, floor, int(expected) + 10)
+        inner = lattice_points(
+            kernel, local, nodes, error * tol, floor, int(expected) + 10, turn=turn
+        )
         corner = np.where(nodes.corner, nodes.side, -1)
         points, edges, side, corner_of = _merged(nodes.points, nodes.following, nodes.side, corner)
     every = np.vstack([points, inner])

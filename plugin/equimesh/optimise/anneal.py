@@ -25,7 +25,7 @@ from equimesh.optimise.mesh import (
 )
 from equimesh.optimise.relax import Queue, clear, push, relax
 from equimesh.optimise.removal import remove_vertex
-from equimesh.optimise.sweep import flip_all, split_at_worst, vertex_waste
+from equimesh.optimise.sweep import flip_all, relax_everything, split_at_worst, vertex_waste
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 
 __all__ = ["anneal"]
@@ -55,14 +55,6 @@ def _energy_change(m):
             if m.tv[t, 0] >= 0:
                 total += _energy(m, m.ee[t, 0], m.ee[t, 1], m.ee[t, 2], m.ie[t])
     return total
-
-
-@compiled
-def _relax_everything(F, m, tol, q, per_vertex):
-    clear(q)
-    for v in range(m.count[1]):
-        push(q, v)
-    return relax(F, m, tol, q, 1 << 60, per_vertex)
 
 
 @compiled
@@ -125,7 +117,7 @@ def anneal(field: KernelField, mesh: Mesh, tol: float, queue: Queue, rounds: int
     mesh.count[MANNER] = SOFT
     evaluate_all(field, mesh, tol)
     flip_all(field, mesh, tol, 50)
-    _relax_everything(field, mesh, tol, queue, 10)
+    relax_everything(field, mesh, tol, queue, 10)
     for _ in range(rounds):
         candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
         waste = vertex_waste(field, mesh, tol, candidates)

@@ -14,7 +14,7 @@ import math
 from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import edge_error, inner_error, value
 from equimesh.fields.patch_kernels import derivatives2
-from equimesh.optimise.mesh import MANNER, MODEL, SOFT, SPREAD
+from equimesh.optimise.mesh import EVEN, MANNER, MODEL, SOFT, SPREAD
 from equimesh.optimise.model import alike, model_edge, model_inner
 from equimesh.optimise.topology import note_triangle
 
@@ -42,6 +42,8 @@ def penalty(m, e):
     e2 = e * e
     if m.count[MANNER] == SOFT:
         return e2 * e2 * e2
+    if m.count[MANNER] == EVEN:
+        return e2 * e2 + (100.0 if e > 1.0 else 0.0)
     small = 1e-4 * e2 * e2 if e < 1.0 else 1e-4 * e2
     if over <= 0.0:
         return small

@@ -15,7 +15,7 @@ __all__ = ["FIXED", "FREE", "SLIDES", "Mesh", "build", "compact", "enlarged"]
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
 # How errors are priced (``energy.penalty``).
-SETTLE, SPREAD, SOFT = 0, 1, 2
+SETTLE, SPREAD, SOFT, EVEN = 0, 1, 2, 3
 
 # Positions in Mesh.count.
 (

@@ -12,6 +12,7 @@ import math
 
 from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import gradient
+from equimesh.fields.kernel import PATCHES
 from equimesh.optimise.energy import HINGE, ROOM, edge_of, inner_of, lift, penalty
 from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, MODEL, SLIDES
 from equimesh.optimise.model import model_rise
@@ -257,4 +258,40 @@ def move_vertex(F, m, tol, v):
         scale *= 0.4
     m.x[v], m.y[v], m.z[v], m.w[v] = x, y, z, w
     m.h[v, 0], m.h[v, 1], m.h[v, 2] = hxx, hxy, hyy
+    if F.kind != PATCHES and kind == FREE:
+        return _probe(F, m, tol, v, n, closed, before)
     return 0.0
+
+
+@compiled
+def _probe(F, m, tol, v, n, closed, before):
+    """Where slopes mean little: v towards the largest errors and the corners around it, or away.
+
+    Takes the best of the places tried; returns the gain.
+    """
+    x, y, z, w = m.x[v], m.y[v], m.z[v], m.w[v]
+    best, bx, by = before * 0.98, x, y
+    for i in range(2 * n):
+        t = m.ring[1, i % n]
+        if i < n:
+            r = m.ring[0, i]
+            px, py = m.x[r], m.y[r]
+        elif abs(m.ie[t]) > HINGE:
+            px, py = m.ix[t], m.iy[t]
+        else:
+            continue
+        for share in (0.3, 0.1):
+            if i >= n:
+                share *= 2.0
+            nx, ny = x + share * (px - x), y + share * (py - y)
+            if lift(F, m, v, nx, ny):
+                after = _trial(F, m, tol, v, n, closed, best)
+                if after < best:
+                    best, bx, by = after, nx, ny
+    if bx == x and by == y:
+        m.x[v], m.y[v], m.z[v], m.w[v] = x, y, z, w
+        return 0.0
+    lift(F, m, v, bx, by)
+    _trial(F, m, tol, v, n, closed, math.inf)
+    store_star(m, v, n, closed)
+    return before - best

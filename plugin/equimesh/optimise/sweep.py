@@ -23,6 +23,7 @@ __all__ = [
     "insert_round",
     "lift_all",
     "relax_all",
+    "relax_everything",
     "removal_round",
     "split_at_worst",
     "split_borders",
@@ -113,6 +114,15 @@ def relax_all(F, m, tol, q, per_vertex):
     """Relax around every violation."""
     clear(q)
     push_violated(m, q)
+    return relax(F, m, tol, q, 1 << 60, per_vertex)
+
+
+@compiled
+def relax_everything(F, m, tol, q, per_vertex):
+    """Relax around every vertex."""
+    clear(q)
+    for v in range(m.count[1]):
+        push(q, v)
     return relax(F, m, tol, q, 1 << 60, per_vertex)
 
 
