@@ -117,7 +117,9 @@ def remesh(
     domain: DomainOption = None,
     breaklines: Annotated[
         str | None,
-        typer.Option(metavar="FILE", help="Lines that must be edges, points that must be vertices."),
+        typer.Option(
+            metavar="FILE", help="Lines that must be edges, points that must be vertices."
+        ),
     ] = None,
     fit: Annotated[
         Fit, typer.Option(help="best: vertices may leave the surface, within the tolerance.")

@@ -15,35 +15,47 @@ import numba
 from equimesh.domain import Sides
 from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
-from equimesh.first_mesh import FirstMesh, first_mesh
+from equimesh.first_mesh import SETTLED, FirstMesh, first_mesh
 from equimesh.frame import Frame
 from equimesh.optimise.driver import EFFORTS, draft, seam_share
 
 __all__ = ["best_draft"]
 
 _SEAMS = 0.08  # above this share of violated triangles a lattice had better be annealed
-_ERRORS = (0.9, 0.87, 0.93, 0.85, 0.95, 0.89, 0.91)  # to anneal for, in units of the tolerance
+# What to try, the most promising first: the error to anneal for in units of the tolerance (None:
+# leave the lattice as it is laid), and where and how turned the lattice starts.
+_FLAT = ((None, 0), (0.93, 0), (0.9, 0), (None, 1), (None, 2), (None, 3), (None, 4), (None, 5))
+_CURVED = (
+    (0.9, 0), (0.87, 0), (0.93, 0), (None, 0), (0.9, 1), (0.87, 1), (0.93, 1), (0.89, 2),
+)  # fmt: skip
 _LARGE = 40_000  # triangles of all drafts together beyond which one is enough
 
 
 def best_draft(
-    surface: Field, kernel: KernelField, sides: Sides, frame: Frame, tol: float, effort: str
+    surface: Field,
+    kernel: KernelField,
+    sides: Sides,
+    frame: Frame,
+    tol: float,
+    effort: str,
+    two_sided: bool,
 ) -> FirstMesh:
     """The first mesh with its draft in place; on data the bare outline."""
-    lattice = first_mesh(surface, kernel, sides, frame, tol)
+    lattice = first_mesh(surface, kernel, sides, frame, tol, two_sided=two_sided)
     size = int(lattice.mesh.count[0])
     if kernel.kind != PATCHES or lattice.settled:
         return lattice
     settled = seam_share(kernel, lattice.mesh, tol) <= _SEAMS
     number = max(1, min(EFFORTS[effort].drafts, _LARGE // size))
-    errors: list[float | None] = [None, *_ERRORS] if settled else [_ERRORS[0], None, *_ERRORS[1:]]
 
-    def drafted(error: float | None) -> FirstMesh:
+    def drafted(what: tuple[float | None, int]) -> FirstMesh:
+        error, turn = what
         start = lattice
-        if error is not None:
-            start = first_mesh(surface, kernel, sides, frame, tol, error)
+        if what != (None, 0):
+            share = SETTLED if error is None else error
+            start = first_mesh(surface, kernel, sides, frame, tol, share, two_sided, turn)
         return dataclasses.replace(start, mesh=draft(kernel, start.mesh, tol, effort, error))
 
     with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:
-        drafts = list(pool.map(drafted, errors[:number]))
+        drafts = list(pool.map(drafted, (_FLAT if settled else _CURVED)[:number]))
     return min(drafts, key=lambda start: int((start.mesh.tv[:, 0] >= 0).sum()))

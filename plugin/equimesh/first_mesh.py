@@ -16,7 +16,8 @@ from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.frame import Frame
 from equimesh.metric import lattice_size
-from equimesh.optimise.mesh import FIXED, FREE, SLIDES, Mesh, build
+from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, SLIDES, Mesh, build
+from equimesh.optimise.sweep import step_aside
 from equimesh.seeding import lattice_points
 from equimesh.triangulation import constrained_delaunay
 
@@ -49,10 +50,14 @@ def first_mesh(
     frame: Frame,
     tol: float,
     error: float = SETTLED,
+    two_sided: bool = False,
+    turn: int = 0,
 ) -> FirstMesh:
     """Vertices and triangles to start from, for a tolerance in units of z.
 
-    ``error``: that of the lattice's triangles in units of the tolerance.
+    ``error``: that of the lattice's triangles in units of the tolerance. ``two_sided``: vertices
+    may leave the surface; where it is convex or concave they start beyond it (``kernel`` must know
+    it). ``turn`` numbers lattices that start elsewhere and turned.
     """
     sides = _handed(sides, frame)
     local = dataclasses.replace(
@@ -83,7 +88,7 @@ def first_mesh(
         chains = _equidistributed(kernel, local, height, floor)
         inner = lattice_points(
             kernel, local, nodes, error * tol, floor, int(expected) + 10,
-            obstacles=chains.segments(local),
+            turn=turn, obstacles=chains.segments(local),
         )  # fmt: skip
     points, edges, walls = _outline(ring, local, chains)
     every = np.vstack([points, inner])
@@ -102,6 +107,10 @@ def first_mesh(
     user[known] = sides.vertices[corner_of[known]]
     z = surface.value(user[:, 0], user[:, 1])
     mesh = build(np.column_stack([every, z]), triangles, kind, side_of, local.segments, walls)
+    if two_sided:
+        mesh.count[HEIGHTS] = 1
+        if kernel.kind == PATCHES and not settled:
+            step_aside(kernel, mesh, tol * error)
     return FirstMesh(mesh, sides, corner_of, settled)
 
 

@@ -75,6 +75,8 @@ def frame_at(frame, child, coef, x, y, eight_tol, floor):
     else:
         vx, vy = 1.0, 0.0
     eps = 1 if l1 * l2 > 0.0 else -1
+    if eps > 0:
+        l1, l2 = l1 / frame[3], l2 / frame[3]
     k1, k2 = cubic_floor(l1, l2, vx, vy, t111, t112, t122, t222, eight_tol)
     a1, a2 = abs(l1), abs(l2)
     pure = a1 > 1.5 * k1 and a2 > 1.5 * k2

@@ -38,7 +38,7 @@ def user_mesh(
     for axis in range(2):
         upright = ends[:, axis] == ends[:, axis + 2]
         plane[sliding[upright], axis] = ends[upright, axis]
-    z = surface.value(plane[:, 0], plane[:, 1])
+    z = surface.value(plane[:, 0], plane[:, 1]) + mesh.w[live]
     lost = ~np.isfinite(z)
     z[lost] = mesh.z[live][lost]  # on an outline drawn within the tolerance, beside the surface
     border, own = _border(mesh, start)
@@ -117,7 +117,9 @@ def _line_of(
 ) -> NDArray[np.int64]:
     """(w,) the constraint line of every wall: where a vertex slides its own, else by both ends."""
     slides = mesh.kind[walls] == SLIDES
-    own = np.where(slides[:, 0], mesh.side[walls[:, 0]], mesh.side[walls[:, 1]]) - len(sides.corners)
+    own = np.where(slides[:, 0], mesh.side[walls[:, 0]], mesh.side[walls[:, 1]]) - len(
+        sides.corners
+    )
     both = ~slides.any(1)
     _, place = np.unique(sides.vertices, axis=0, return_inverse=True)
     place = place.ravel()

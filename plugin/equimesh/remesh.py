@@ -91,7 +91,8 @@ def remesh(
         that they reach. Then the status is ``LIMITED``, which is not ``ok``, and ``result.tol`` is
         the certified tolerance.
     fit
-        ``"interpolate"``: vertices lie on the surface.
+        ``"interpolate"``: vertices lie on the surface. ``"best"``: they may leave it by up to the
+        tolerance, which saves up to half the triangles where the surface is convex or concave.
     effort
         ``"fast"``, ``"balanced"`` or ``"best"``: time against triangles.
     seed
@@ -136,7 +137,7 @@ def remesh(
         from equimesh.target import remesh_to_target
 
         return remesh_to_target(
-            source, most, domain, tol, effort=effort, seed=seed, progress=progress, bound=bound,
+            source, most, domain, tol, fit=fit, effort=effort, seed=seed, progress=progress, bound=bound,
             constraints=constraints,
         )  # fmt: skip
     assert tol is not None
@@ -148,10 +149,12 @@ def remesh(
         height = tolerance(tol, surface, whole)
         covered = _covered(surface, geometry, height)
         kernel = surface.kernel(covered, height)
+        if fit == "best":
+            kernel = kernel.two_sided()
         frame = surface.frame(covered)
     with stages.stage("seed"):
         sides = with_constraints(sides_of(covered), constraints, covered, frame)
-        start = best_draft(surface, kernel, sides, frame, _AIM * height, effort)
+        start = best_draft(surface, kernel, sides, frame, _AIM * height, effort, fit == "best")
     with stages.stage("optimise") as report:
         mesh, good = optimise(kernel, start.mesh, _AIM * height, effort, report)
     with stages.stage("certify"):
@@ -205,10 +208,8 @@ def _check_options(
             raise InputError(f"{name}={count!r} is no number of triangles: give 2 or more.")
     if effort not in EFFORTS:
         raise InputError(f"The effort {effort!r} is unknown: choose fast, balanced or best.")
-    if fit == "best":
-        raise InputError("fit='best' is not offered yet: use fit='interpolate'.")
-    if fit != "interpolate":
-        raise InputError(f"The fit {fit!r} is unknown: use interpolate.")
+    if fit not in ("interpolate", "best"):
+        raise InputError(f"The fit {fit!r} is unknown: use interpolate or best.")
     if isinstance(seed, bool) or int(seed) != seed or seed < 0:
         raise InputError(f"The seed is {seed!r}: give an integer of 0 or more.")
 

@@ -30,7 +30,7 @@ def lattice_points(
     *,
     gap: float = _GAP,
     merge: float = _MERGE,
-    start: NDArray[np.float64] | None = None,
+    turn: int = 0,
     obstacles: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Interior vertices of the lattice for tolerance ``tol`` (local coordinates).
@@ -39,8 +39,9 @@ def lattice_points(
     ----------
     expected
         About how many vertices will be laid; three times as many are the limit.
-    start
-        (k, 3) places and gauges to try as seeds before the quasi-random ones.
+    turn
+        Which of the quasi-random seeds comes first; its gauge (a rotation, or a boost where the
+        surface is a saddle) is as many times 0.4.
     obstacles
         (w, 4) segments inside the domain to keep away from as from the boundary.
 
@@ -63,8 +64,8 @@ def lattice_points(
     strips = strips_of(segments)
     seeds = _halton(max(64, 2 * expected)) * (high - low) + low
     seeds = np.hstack([seeds, np.zeros((len(seeds), 1))])
-    if start is not None:
-        seeds = np.vstack([start, seeds])
+    seeds[:, 2] = 0.4 * turn
+    seeds[[0, turn]] = seeds[[turn, 0]]
     count = grow(
         field.frame, field.child, field.coef, 8.0 * tol, floor,
         segments, *strips, tree, link, used, box, px, py,

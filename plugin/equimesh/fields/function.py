@@ -161,7 +161,7 @@ class Function:
         patches = fit_patches(local, frame.geometry_to_local(domain), _PATCH_SHARE * tol)
         return KernelField(
             PATCHES,
-            frame=np.array([*patches.origin, patches.side]),
+            frame=np.array([*patches.origin, patches.side, 1.0]),
             child=patches.child,
             coef=patches.coef,
         )

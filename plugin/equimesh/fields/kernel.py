@@ -23,7 +23,9 @@ class KernelField(NamedTuple):
     """
 
     kind: int
-    frame: NDArray[np.float64] = np.empty(0)  # scalars of the kind: origin and size of its index
+    # Scalars of the kind: origin and size of its index; for PATCHES also the share of the tolerance
+    # that a vertex may take up where f is convex or concave, plus one (``two_sided``).
+    frame: NDArray[np.float64] = np.empty(0)
     grid: NDArray[np.float64] = np.empty((0, 0))  # RASTER: heights [row, column]
     child: NDArray[np.int32] = np.empty((0, 4), np.int32)  # PATCHES: quadtree
     coef: NDArray[np.float64] = np.empty((0, 0, 0))  # PATCHES: polynomials of the leaves
@@ -33,3 +35,12 @@ class KernelField(NamedTuple):
     vertex_items: NDArray[np.int32] = np.empty(0, np.int32)
     triangle_start: NDArray[np.int32] = np.empty(0, np.int32)  # SURFACE: cell -> triangles over it
     triangle_items: NDArray[np.int32] = np.empty(0, np.int32)
+
+    def two_sided(self) -> KernelField:
+        """The same field for meshes whose vertices may leave it by up to the tolerance.
+
+        Where it is convex or concave an edge may then have twice the interpolation error.
+        """
+        if self.kind != PATCHES:
+            return self
+        return self._replace(frame=np.append(self.frame[:3], 2.0))

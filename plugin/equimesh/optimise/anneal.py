@@ -25,7 +25,7 @@ from equimesh.optimise.mesh import (
 )
 from equimesh.optimise.relax import Queue, clear, push, relax
 from equimesh.optimise.removal import remove_vertex
-from equimesh.optimise.sweep import flip_all, split_at_worst, vertex_waste
+from equimesh.optimise.sweep import flip_all, relax_everything, split_at_worst, vertex_waste
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 
 __all__ = ["anneal"]
@@ -58,18 +58,12 @@ def _energy_change(m):
 
 
 @compiled
-def _relax_everything(F, m, tol, q, per_vertex):
-    clear(q)
-    for v in range(m.count[1]):
-        push(q, v)
-    return relax(F, m, tol, q, 1 << 60, per_vertex)
-
-
-@compiled
 def _push_star(m, q, v):
+    """The neighbours of v into the queue; returns whether v is an inner vertex."""
     n, closed = star(m, v)
     for j in range(n if closed else n + 1):
         push(q, m.ring[0, j])
+    return closed
 
 
 @compiled
@@ -97,8 +91,7 @@ def _exchange(F, m, tol, q, candidates, waste, visits):
         begin(m)
         clear(q)
         if waste[i] > 0.0:
-            _push_star(m, q, v)
-            triangles = -2 if m.kind[v] == FREE else -1
+            triangles = -2 if _push_star(m, q, v) else -1
             if remove_vertex(F, m, tol, v, 1e30) < 0.0:
                 rollback(m)
                 continue
@@ -107,9 +100,8 @@ def _exchange(F, m, tol, q, candidates, waste, visits):
             if v < 0:
                 rollback(m)
                 continue
-            triangles = 2 if m.kind[v] == FREE else 1
             push(q, v)
-            _push_star(m, q, v)
+            triangles = 2 if _push_star(m, q, v) else 1
         relax(F, m, tol, q, visits, 12)
         if _energy_change(m) + _MU * triangles < 0.0:
             commit(m)
@@ -125,7 +117,7 @@ def anneal(field: KernelField, mesh: Mesh, tol: float, queue: Queue, rounds: int
     mesh.count[MANNER] = SOFT
     evaluate_all(field, mesh, tol)
     flip_all(field, mesh, tol, 50)
-    _relax_everything(field, mesh, tol, queue, 10)
+    relax_everything(field, mesh, tol, queue, 10)
     for _ in range(rounds):
         candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
         waste = vertex_waste(field, mesh, tol, candidates)

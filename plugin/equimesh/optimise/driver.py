@@ -13,13 +13,25 @@ from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.optimise.anneal import anneal
 from equimesh.optimise.energy import evaluate_all
 from equimesh.optimise.greedy import refine
-from equimesh.optimise.mesh import FREE, MANNER, MODEL, SETTLE, SLIDES, SPREAD, Mesh, enlarged
+from equimesh.optimise.mesh import (
+    EVEN,
+    FREE,
+    GONE,
+    MANNER,
+    MODEL,
+    SETTLE,
+    SLIDES,
+    SPREAD,
+    Mesh,
+    enlarged,
+)
 from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.sweep import (
     flip_all,
     insert_round,
     lift_all,
     relax_all,
+    relax_everything,
     removal_round,
     split_borders,
     split_listed,
@@ -205,12 +217,17 @@ def _violated(mesh: Mesh) -> NDArray[np.int64]:
 def _remove(
     field: KernelField, mesh: Mesh, tol: float, rounds: int, visits: int, report: Report
 ) -> None:
-    """Rounds of removal with repair; after the first only where something changed."""
+    """Rounds of removal with repair.
+
+    After the first only where something changed; where nothing goes any more, errors are evened
+    out, so that slack comes together from afar, and everything is tried again.
+    """
     queue = make_queue(len(mesh.x))
     stamp = np.zeros(len(mesh.x), np.int64)
+    everywhere = True
     for number in range(1, rounds + 1):
         candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
-        if number > 1:
+        if not everywhere:
             candidates = candidates[stamp[candidates] == number - 1]
         waste = vertex_waste(field, mesh, tol, candidates)
         wasteful = waste > _WORTH
@@ -220,7 +237,11 @@ def _remove(
         for first in range(0, len(candidates), 2000):
             part = candidates[first : first + 2000]
             removed += removal_round(field, mesh, tol, queue, part, visits, 30.0, stamp, number)[0]
-            done = (number - 1 + (first + len(part)) / len(candidates)) / rounds
-            report(done)
-        if removed == 0:
+            report((number - 1 + (first + len(part)) / len(candidates)) / rounds)
+        if everywhere and number > 1 and removed == 0:
             break
+        everywhere = removed <= 0.003 * int((mesh.kind != GONE).sum())
+        if everywhere:
+            mesh.count[MANNER] = EVEN
+            relax_everything(field, mesh, tol, queue, 3)
+            mesh.count[MANNER] = SETTLE

@@ -14,12 +14,13 @@ import math
 from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import edge_error, inner_error, value
 from equimesh.fields.patch_kernels import derivatives2
-from equimesh.optimise.mesh import MANNER, MODEL, SOFT, SPREAD
+from equimesh.optimise.mesh import EVEN, MANNER, MODEL, SOFT, SPREAD
 from equimesh.optimise.model import alike, model_edge, model_inner
 from equimesh.optimise.topology import note_triangle
 
 __all__ = [
     "HINGE",
+    "ROOM",
     "evaluate_all",
     "evaluate_triangle",
     "lift",
@@ -29,6 +30,7 @@ __all__ = [
 ]
 
 HINGE = 0.985
+ROOM = 0.98  # how far vertices may leave the surface, in units of the tolerance, where they may
 _CEILING = 1e3  # beyond it, more is not worse: keeps sums finite
 
 
@@ -40,6 +42,8 @@ def penalty(m, e):
     e2 = e * e
     if m.count[MANNER] == SOFT:
         return e2 * e2 * e2
+    if m.count[MANNER] == EVEN:
+        return e2 * e2 + (100.0 if e > 1.0 else 0.0)
     small = 1e-4 * e2 * e2 if e < 1.0 else 1e-4 * e2
     if over <= 0.0:
         return small
@@ -50,7 +54,10 @@ def penalty(m, e):
 
 @compiled
 def lift(F, m, v, x, y):
-    """Put vertex v at (x, y) on the surface; False, and nothing changed, outside the field."""
+    """Put vertex v at (x, y), its height above the surface kept.
+
+    False, and nothing changed, outside the field.
+    """
     if m.count[MODEL] == 1:
         z, _, _, hxx, hxy, hyy = derivatives2(F.frame, F.child, F.coef, x, y)
         m.h[v, 0], m.h[v, 1], m.h[v, 2] = hxx, hxy, hyy
@@ -58,7 +65,7 @@ def lift(F, m, v, x, y):
         z = value(F, x, y)
         if not math.isfinite(z):
             return False
-    m.x[v], m.y[v], m.z[v] = x, y, z
+    m.x[v], m.y[v], m.z[v] = x, y, z + m.w[v]
     return True
 
 

@@ -7,7 +7,7 @@ import math
 from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import value
 from equimesh.optimise.energy import edge_of, lift, set_edge, set_inner
-from equimesh.optimise.mesh import FIXED, FREE, MODEL, SLIDES
+from equimesh.optimise.mesh import FIXED, FREE, SLIDES
 from equimesh.optimise.topology import (
     new_triangle,
     new_vertex,
@@ -40,6 +40,7 @@ def split_inside(F, m, tol, t, x, y):
     if not math.isfinite(z):
         return -1
     v = new_vertex(m, x, y, z, FREE, 0)
+    m.w[v] = (m.w[a] + m.w[b] + m.w[c]) / 3.0
     lift(F, m, v, x, y)
     note_triangle(m, t)
     t1, t2 = new_triangle(m), new_triangle(m)
@@ -104,7 +105,8 @@ def split_edge(F, m, tol, t, k, s):
         ):
             return -1
     z = value(F, x, y)
-    if not math.isfinite(z):
+    on = math.isfinite(z)
+    if not on:
         # An outline drawn within the tolerance may leave the surface: stay on the chord.
         if u >= 0:
             return -1
@@ -115,7 +117,8 @@ def split_edge(F, m, tol, t, k, s):
         if side < 0:
             kind, side = FIXED, 0
     v = new_vertex(m, x, y, z, kind, side)
-    if m.count[MODEL] == 1:
+    m.w[v] = m.w[a] + s * (m.w[b] - m.w[a]) if on else 0.0
+    if on:
         lift(F, m, v, x, y)
     note_triangle(m, t)
     k1, k2 = (k + 1) % 3, (k + 2) % 3

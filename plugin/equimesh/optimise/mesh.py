@@ -15,7 +15,7 @@ __all__ = ["FIXED", "FREE", "SLIDES", "Mesh", "build", "compact", "enlarged"]
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
 # How errors are priced (``energy.penalty``).
-SETTLE, SPREAD, SOFT = 0, 1, 2
+SETTLE, SPREAD, SOFT, EVEN = 0, 1, 2, 3
 
 # Positions in Mesh.count.
 (
@@ -31,7 +31,8 @@ SETTLE, SPREAD, SOFT = 0, 1, 2
     EPOCH,
     MANNER,
     MODEL,
-) = range(12)
+    HEIGHTS,
+) = range(13)
 
 
 class Mesh(NamedTuple):
@@ -40,6 +41,7 @@ class Mesh(NamedTuple):
     x: NDArray[np.float64]  # (v,)
     y: NDArray[np.float64]
     z: NDArray[np.float64]
+    w: NDArray[np.float64]  # (v,) height above the surface; may differ from 0 where count[HEIGHTS]
     h: NDArray[np.float64]  # (v, 3) second derivatives, where count[MODEL] is on
     kind: NDArray[np.int8]  # FREE, SLIDES along its side, FIXED, GONE
     side: NDArray[np.int64]  # row of ``sides`` on which a sliding vertex lies
@@ -64,7 +66,7 @@ class Mesh(NamedTuple):
     lost_t: NDArray[np.int64]  # slots given up while recording
     lost_v: NDArray[np.int64]
     ring: NDArray[np.int64]  # (4, 512) scratch: vertices, triangles and indices of a star; a copy
-    work: NDArray[np.float64]  # (8, 1024) scratch: a star's tentative errors, spokes and insides
+    work: NDArray[np.float64]  # (9, 1024) scratch: a star's tentative errors, spokes and insides
     hole_i: NDArray[np.int64]  # (3, 64, 24) scratch of vertex removal
     hole_f: NDArray[np.float64]  # (4, 24, 24)
 
@@ -111,20 +113,21 @@ def build(
         wall[:m] = (kept[found] == low * n + high).reshape(m, 3)
     v2t = np.full(nv, -1, np.int64)
     v2t[triangles.ravel()] = np.repeat(np.arange(m, dtype=np.int64), 3)
-    count = np.zeros(12, np.int64)
+    count = np.zeros(13, np.int64)
     count[TRIANGLES], count[VERTICES] = m, n
     log = 20_000
     return Mesh(
         padded(points[:, 0], nv), padded(points[:, 1], nv), padded(points[:, 2], nv),
+        np.zeros(nv),
         np.zeros((nv, 3)),
         kinds, side_of, v2t, tv, tn, wall,
         np.zeros((nt, 3)), np.zeros((nt, 3)), np.zeros(nt), np.zeros(nt), np.zeros(nt),
         np.zeros(nt, np.int64), np.ascontiguousarray(sides, float),
         np.zeros(nt, np.int64), np.zeros(nv, np.int64), count,
         np.zeros((log, 10), np.int64), np.zeros((log, 9)),
-        np.zeros((log, 4), np.int64), np.zeros((log, 6)),
+        np.zeros((log, 4), np.int64), np.zeros((log, 7)),
         np.zeros(log, np.int64), np.zeros(log, np.int64),
-        np.zeros((4, 512), np.int64), np.zeros((8, 1024)),
+        np.zeros((4, 512), np.int64), np.zeros((9, 1024)),
         np.zeros((3, 64, 24), np.int64), np.zeros((4, 24, 24)),
     )  # fmt: skip
 
@@ -151,7 +154,7 @@ def enlarged(mesh: Mesh) -> Mesh:
             new[:] = -1
         new[: len(old)] = old
         grown[name] = new
-    for name in ("x", "y", "z", "h", "kind", "side", "v2t", "spare_v"):
+    for name in ("x", "y", "z", "w", "h", "kind", "side", "v2t", "spare_v"):
         old = getattr(mesh, name)
         new = np.full((2 * len(old), *old.shape[1:]), GONE if name == "kind" else 0, old.dtype)
         new[: len(old)] = old

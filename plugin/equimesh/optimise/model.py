@@ -18,32 +18,27 @@ _ALIKE = 0.02
 
 
 @compiled
-def _peak(p, q, t):
-    """The error of the chord at t in units of -1/6, and t."""
-    return t * (1.0 - t) * (p + q * t), t
-
-
-@compiled
 def model_edge(m, a, b):
-    """(signed largest error, position) of the chord from vertex a to vertex b."""
+    """(signed largest error, position) of the chord from vertex a to vertex b between its ends."""
     dx, dy = m.x[b] - m.x[a], m.y[b] - m.y[a]
     ka = m.h[a, 0] * dx * dx + 2.0 * m.h[a, 1] * dx * dy + m.h[a, 2] * dy * dy
     kb = m.h[b, 0] * dx * dx + 2.0 * m.h[b, 1] * dx * dy + m.h[b, 2] * dy * dy
-    # f'' = ka + (kb - ka) t gives e = -t (1 - t) (p + q t) / 6.
-    p, q = 2.0 * ka + kb, kb - ka
-    if abs(q) < 0.02 * abs(p):
-        # Second order in q / p around the middle.
-        e, t = _peak(p, q, 0.5 + 0.125 * q / (p + 0.5 * q))
-        return -e / 6.0, t
-    root = math.sqrt(p * p + p * q + q * q)
+    # f'' = ka + (kb - ka) t gives e = -t (1 - t) (p + q t) / 6, less the heights of the ends.
+    p, q, d = 2.0 * ka + kb, kb - ka, m.w[b] - m.w[a]
+    first, second = 0.5, 0.5
+    bend, slope = q - p, p + 6.0 * d  # 6 e' = 3 q t^2 - 2 bend t - slope
+    inner = bend * bend + 3.0 * q * slope
+    if inner > 0.0:
+        root = bend + math.sqrt(inner) if bend > 0.0 else bend - math.sqrt(inner)
+        first, second = root / (3.0 * q), -slope / root
     best, where = 0.0, 0.5
     for i in range(2):
-        t = ((q - p) + (root if i == 0 else -root)) / (3.0 * q)
+        t = first if i == 0 else second
         if 0.0 < t < 1.0:
-            e, t = _peak(p, q, t)
+            e = -t * (1.0 - t) * (p + q * t) / 6.0 - m.w[a] - d * t
             if abs(e) > abs(best):
                 best, where = e, t
-    return -best / 6.0, where
+    return best, where
 
 
 @compiled
@@ -68,24 +63,25 @@ def model_inner(m, a, b, c):
     """(signed largest error, x, y) inside the triangle.
 
     With barycentric coordinates u, v, w the error is -(p v w + q w u + r u v) / 2, where p, q, r
-    are the edges' bends: -R^2 / 2 at the circumcentre of their metric.
+    are the edges' bends, less the heights of the corners: for these 0 it is -R^2 / 2 at the
+    circumcentre of their metric.
     """
     p, q, r = _bend(m, b, c), _bend(m, c, a), _bend(m, a, b)
-    alpha, beta, gamma = p * (q + r - p), q * (r + p - q), r * (p + q - r)
-    total = alpha + beta + gamma
-    if alpha <= 0.0 or beta <= 0.0 or gamma <= 0.0:
-        third = 1.0 / 3.0
-        return (
-            0.0,
-            third * (m.x[a] + m.x[b] + m.x[c]),
-            third * (m.y[a] + m.y[b] + m.y[c]),
-        )
-    u, v, w = alpha / total, beta / total, gamma / total
-    return (
-        -0.5 * p * q * r / total,
-        u * m.x[a] + v * m.x[b] + w * m.x[c],
-        u * m.y[a] + v * m.y[b] + w * m.y[c],
-    )
+    mixed = 0.5 * (p + q - r)
+    det = p * q - mixed * mixed
+    third = 1.0 / 3.0
+    if det > 0.0:
+        s, t = 0.5 * q + m.w[a] - m.w[c], 0.5 * p + m.w[b] - m.w[c]
+        u, v = (p * s - mixed * t) / det, (q * t - mixed * s) / det
+        w = 1.0 - u - v
+        if u > 0.0 and v > 0.0 and w > 0.0:
+            e = -0.5 * (p * v * w + q * w * u + r * u * v)
+            return (
+                e - u * m.w[a] - v * m.w[b] - w * m.w[c],
+                u * m.x[a] + v * m.x[b] + w * m.x[c],
+                u * m.y[a] + v * m.y[b] + w * m.y[c],
+            )
+    return 0.0, third * (m.x[a] + m.x[b] + m.x[c]), third * (m.y[a] + m.y[b] + m.y[c])
 
 
 @compiled

@@ -12,8 +12,9 @@ import math
 
 from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import gradient
-from equimesh.optimise.energy import HINGE, edge_of, inner_of, lift, penalty
-from equimesh.optimise.mesh import FIXED, MODEL, SLIDES
+from equimesh.fields.kernel import PATCHES
+from equimesh.optimise.energy import HINGE, ROOM, edge_of, inner_of, lift, penalty
+from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, MODEL, SLIDES
 from equimesh.optimise.model import model_rise
 from equimesh.optimise.topology import ample, flip, note_triangle, note_vertex, star
 
@@ -111,16 +112,16 @@ def store_star(m, v, n, closed):
 
 
 @compiled
-def _gauss_newton(F, m, tol, v, n, closed, dirx, diry):
-    """Damped step (dx, dy) on the violated errors of the star; (dirx, diry) != 0 restricts it.
+def _residuals(F, m, tol, v, n, closed):
+    """Errors around v and their slopes, into ``m.work`` rows 5 to 8; returns how many.
 
-    Residuals and their slopes are gathered in ``m.work`` rows 5 to 7.
+    Row 5: error above the hinge; rows 6 and 7: its derivatives by v's place; row 8: by its height.
     """
     vx, vy = m.x[v], m.y[v]
     model = m.count[MODEL] == 1
     gx, gy = (0.0, 0.0) if model else gradient(F, vx, vy)
     if not (math.isfinite(gx) and math.isfinite(gy)):
-        return 0.0, 0.0
+        return 0
     count = 0
     spokes = n if closed else n + 1
     for i in range(spokes):
@@ -134,9 +135,10 @@ def _gauss_newton(F, m, tol, v, n, closed, dirx, diry):
         px, py = vx + s * (m.x[r] - vx), vy + s * (m.y[r] - vy)
         hx, hy = model_rise(m, v, r, px - vx, py - vy) if model else gradient(F, px, py)
         if math.isfinite(hx) and math.isfinite(hy):
-            w = (1.0 - s) / tol * (1.0 if e > 0.0 else -1.0)
+            w = (1.0 - s) * (1.0 if e > 0.0 else -1.0)
             m.work[5, count] = abs(e) - HINGE
-            m.work[6, count], m.work[7, count] = w * (hx - gx), w * (hy - gy)
+            m.work[6, count], m.work[7, count] = w * (hx - gx) / tol, w * (hy - gy) / tol
+            m.work[8, count] = -w
             count += 1
     for i in range(n):
         t = m.ring[1, i]
@@ -149,42 +151,58 @@ def _gauss_newton(F, m, tol, v, n, closed, dirx, diry):
         w = ((m.x[p] - x) * (m.y[q] - y) - (m.y[p] - y) * (m.x[q] - x)) / area
         hx, hy = model_rise(m, v, p, x - vx, y - vy) if model else gradient(F, x, y)
         if math.isfinite(hx) and math.isfinite(hy):
-            w *= (1.0 if e > 0.0 else -1.0) / tol
+            w *= 1.0 if e > 0.0 else -1.0
             m.work[5, count] = abs(e) - HINGE
-            m.work[6, count], m.work[7, count] = w * (hx - gx), w * (hy - gy)
+            m.work[6, count], m.work[7, count] = w * (hx - gx) / tol, w * (hy - gy) / tol
+            m.work[8, count] = -w
             count += 1
-    # All slopes, violated or not, measure lengths: damping by them does not see affine maps.
-    d11 = d12 = d22 = 1e-300
+    return count
+
+
+@compiled
+def _gauss_newton(m, count):
+    """Damped step (dx, dy, dz) on the violated errors among ``count``; dz in units of tol.
+
+    All slopes, violated or not, measure lengths: damping by them does not see affine maps. A row of
+    slopes that is 0 throughout keeps its variable where it is.
+    """
+    d11 = d12 = d22 = d33 = 1e-300
     for i in range(count):
-        a, b = m.work[6, i], m.work[7, i]
+        a, b, c = m.work[6, i], m.work[7, i], m.work[8, i]
         d11 += a * a
         d12 += a * b
         d22 += b * b
-    dx = dy = 0.0
+        d33 += c * c
+    dx = dy = dz = 0.0
     for _ in range(3):
-        h11, h12, h22 = 0.02 * d11, 0.02 * d12, 0.02 * d22
-        g1 = g2 = 0.0
+        h11, h12, h22, h33 = 0.02 * d11, 0.02 * d12, 0.02 * d22, 0.02 * d33
+        h13 = h23 = g1 = g2 = g3 = 0.0
         for i in range(count):
             r = m.work[5, i]
-            a, b = m.work[6, i], m.work[7, i]
-            if r + a * dx + b * dy > 0.0:
+            a, b, c = m.work[6, i], m.work[7, i], m.work[8, i]
+            if r + a * dx + b * dy + c * dz > 0.0:
                 h11 += a * a
                 h12 += a * b
                 h22 += b * b
+                h13 += a * c
+                h23 += b * c
+                h33 += c * c
                 g1 += a * r
                 g2 += b * r
-        if dirx != 0.0 or diry != 0.0:
-            h = h11 * dirx * dirx + 2 * h12 * dirx * diry + h22 * diry * diry
-            if h <= 0.0:
-                return 0.0, 0.0
-            step = -(g1 * dirx + g2 * diry) / h
-            dx, dy = step * dirx, step * diry
-        else:
-            det = h11 * h22 - h12 * h12
-            if det <= 1e-14 * h11 * h22:
-                return 0.0, 0.0
+                g3 += c * r
+        # Cholesky in three steps, z first: it stands alone where heights are given.
+        a13, a23 = h13 / h33, h23 / h33
+        h11, h12, h22 = h11 - a13 * h13, h12 - a13 * h23, h22 - a23 * h23
+        g1, g2 = g1 - a13 * g3, g2 - a23 * g3
+        det = h11 * h22 - h12 * h12
+        if d22 <= 1e-300 and h11 > 0.0:  # along a line, or nowhere
+            dx, dy = (-g1 / h11 if d11 > 1e-300 else 0.0), 0.0
+        elif det > 1e-14 * h11 * h22:
             dx, dy = (-h22 * g1 + h12 * g2) / det, (-h11 * g2 + h12 * g1) / det
-    return dx, dy
+        else:
+            return 0.0, 0.0, 0.0
+        dz = -(g3 + h13 * dx + h23 * dy) / h33 if d33 > 1e-300 else 0.0
+    return dx, dy, dz
 
 
 @compiled
@@ -194,37 +212,86 @@ def move_vertex(F, m, tol, v):
     ``m.ring`` holds the star of v afterwards.
     """
     n, closed = star(m, v)
-    if n == 0 or m.kind[v] == FIXED:
+    kind, high = m.kind[v], m.count[HEIGHTS] == 1
+    if n == 0 or (kind == FIXED and not high):
         return 0.0
     before = star_energy(m, n, closed)
     if before < 1e-3:
         return 0.0
-    dirx = diry = 0.0
-    if m.kind[v] == SLIDES:
-        side = m.sides[m.side[v]]
-        dirx, diry = side[2] - side[0], side[3] - side[1]
-    dx, dy = _gauss_newton(F, m, tol, v, n, closed, dirx, diry)
-    if not (math.isfinite(dx) and math.isfinite(dy)) or (dx == 0.0 and dy == 0.0):
+    count = _residuals(F, m, tol, v, n, closed)
+    ux = uy = 0.0
+    side = m.sides[m.side[v]]
+    if kind == SLIDES:
+        ux, uy = side[2] - side[0], side[3] - side[1]
+    if kind != FREE:
+        for i in range(count):
+            m.work[6, i], m.work[7, i] = m.work[6, i] * ux + m.work[7, i] * uy, 0.0
+    if not high:
+        for i in range(count):
+            m.work[8, i] = 0.0
+    dx, dy, dz = _gauss_newton(m, count)
+    if kind != FREE:
+        dx, dy = dx * ux, dx * uy
+    if not (math.isfinite(dx) and math.isfinite(dy) and math.isfinite(dz)) or (
+        dx == 0.0 and dy == 0.0 and dz == 0.0
+    ):
         return 0.0
-    x, y, z = m.x[v], m.y[v], m.z[v]
+    x, y, z, w = m.x[v], m.y[v], m.z[v], m.w[v]
     hxx, hxy, hyy = m.h[v, 0], m.h[v, 1], m.h[v, 2]
     note_vertex(m, v)
     scale = 1.0
     for _ in range(4):
         nx, ny = x + scale * dx, y + scale * dy
-        if m.kind[v] == SLIDES:
-            side = m.sides[m.side[v]]
-            along = ((nx - side[0]) * dirx + (ny - side[1]) * diry) / (dirx**2 + diry**2)
-            nx, ny = side[0] + along * dirx, side[1] + along * diry
+        if kind == SLIDES:
+            along = ((nx - side[0]) * ux + (ny - side[1]) * uy) / (ux * ux + uy * uy)
+            nx, ny = side[0] + along * ux, side[1] + along * uy
             if along <= 0.0 or along >= 1.0:
                 scale *= 0.4
                 continue
+        if high:
+            m.w[v] = min(max(w + scale * dz * tol, -ROOM * tol), ROOM * tol)
         if lift(F, m, v, nx, ny):
             after = _trial(F, m, tol, v, n, closed, before * 0.995)
             if after < before * 0.995:
                 store_star(m, v, n, closed)
                 return before - after
         scale *= 0.4
-    m.x[v], m.y[v], m.z[v] = x, y, z
+    m.x[v], m.y[v], m.z[v], m.w[v] = x, y, z, w
     m.h[v, 0], m.h[v, 1], m.h[v, 2] = hxx, hxy, hyy
+    if F.kind != PATCHES and kind == FREE:
+        return _probe(F, m, tol, v, n, closed, before)
     return 0.0
+
+
+@compiled
+def _probe(F, m, tol, v, n, closed, before):
+    """Where slopes mean little: v towards the largest errors and the corners around it, or away.
+
+    Takes the best of the places tried; returns the gain.
+    """
+    x, y, z, w = m.x[v], m.y[v], m.z[v], m.w[v]
+    best, bx, by = before * 0.98, x, y
+    for i in range(2 * n):
+        t = m.ring[1, i % n]
+        if i < n:
+            r = m.ring[0, i]
+            px, py = m.x[r], m.y[r]
+        elif abs(m.ie[t]) > HINGE:
+            px, py = m.ix[t], m.iy[t]
+        else:
+            continue
+        for share in (0.3, 0.1):
+            if i >= n:
+                share *= 2.0
+            nx, ny = x + share * (px - x), y + share * (py - y)
+            if lift(F, m, v, nx, ny):
+                after = _trial(F, m, tol, v, n, closed, best)
+                if after < best:
+                    best, bx, by = after, nx, ny
+    if bx == x and by == y:
+        m.x[v], m.y[v], m.z[v], m.w[v] = x, y, z, w
+        return 0.0
+    lift(F, m, v, bx, by)
+    _trial(F, m, tol, v, n, closed, math.inf)
+    store_star(m, v, n, closed)
+    return before - best

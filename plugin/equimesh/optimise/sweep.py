@@ -10,7 +10,7 @@ from numba import njit
 from equimesh.fields.compiled import compiled
 from equimesh.fields.kernel import PATCHES
 from equimesh.fields.patch_kernels import derivatives2
-from equimesh.optimise.energy import penalty, worst_of
+from equimesh.optimise.energy import ROOM, penalty, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import FREE, MANNER, SETTLE, SLIDES, SPREAD
 from equimesh.optimise.moves import try_flip
@@ -23,10 +23,12 @@ __all__ = [
     "insert_round",
     "lift_all",
     "relax_all",
+    "relax_everything",
     "removal_round",
     "split_at_worst",
     "split_borders",
     "split_listed",
+    "step_aside",
     "thin_out",
     "vertex_waste",
     "violations",
@@ -42,6 +44,17 @@ def lift_all(F, m):
     for v in range(m.count[1]):
         _, _, _, hxx, hxy, hyy = derivatives2(F.frame, F.child, F.coef, m.x[v], m.y[v])
         m.h[v, 0], m.h[v, 1], m.h[v, 2] = hxx, hxy, hyy
+
+
+@compiled
+def step_aside(F, m, tol):
+    """Move vertices off the surface to where it halves their chords' errors: where all lie on one
+    side of it."""
+    for v in range(m.count[1]):
+        _, _, _, hxx, hxy, hyy = derivatives2(F.frame, F.child, F.coef, m.x[v], m.y[v])
+        if hxx * hyy > hxy * hxy and math.isfinite(m.z[v]):
+            m.w[v] = -ROOM * tol if hxx > 0.0 else ROOM * tol
+            m.z[v] += m.w[v]
 
 
 @compiled
@@ -102,6 +115,15 @@ def relax_all(F, m, tol, q, per_vertex):
     """Relax around every violation."""
     clear(q)
     push_violated(m, q)
+    return relax(F, m, tol, q, 1 << 60, per_vertex)
+
+
+@compiled
+def relax_everything(F, m, tol, q, per_vertex):
+    """Relax around every vertex."""
+    clear(q)
+    for v in range(m.count[1]):
+        push(q, v)
     return relax(F, m, tol, q, 1 << 60, per_vertex)
 
 
@@ -191,7 +213,7 @@ def triangle_waste(F, m, tol, t):
     )  # fmt: skip
     det = (hxx * hyy - hxy * hxy) / (64.0 * tol * tol)
     if det > 0.0:
-        return 1.0 - math.sqrt(det) * area / _AREA_CONVEX
+        return 1.0 - math.sqrt(det) * area / (_AREA_CONVEX * F.frame[3])
     return 1.0 - math.sqrt(-det) * area / _AREA_SADDLE
 
 

@@ -77,7 +77,7 @@ def note_vertex(m, v):
     m.log_vi[k, 3] = m.v2t[v]
     row = m.log_vf[k]
     row[0], row[1], row[2] = m.x[v], m.y[v], m.z[v]
-    row[3], row[4], row[5] = m.h[v, 0], m.h[v, 1], m.h[v, 2]
+    row[3], row[4], row[5], row[6] = m.h[v, 0], m.h[v, 1], m.h[v, 2], m.w[v]
 
 
 @compiled
@@ -137,7 +137,7 @@ def rollback(m):
         m.kind[v], m.side[v], m.v2t[v] = m.log_vi[k, 1], m.log_vi[k, 2], m.log_vi[k, 3]
         row = m.log_vf[k]
         m.x[v], m.y[v], m.z[v] = row[0], row[1], row[2]
-        m.h[v, 0], m.h[v, 1], m.h[v, 2] = row[3], row[4], row[5]
+        m.h[v, 0], m.h[v, 1], m.h[v, 2], m.w[v] = row[3], row[4], row[5], row[6]
     c[RECORDING] = 0
 
 
