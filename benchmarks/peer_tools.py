@@ -74,7 +74,8 @@ def grid(box: tuple[float, ...], n: int) -> Mesh:
     x, y = np.meshgrid(np.linspace(xmin, xmax, n + 1), np.linspace(ymin, ymax, n + 1))
     corner = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
     a, b, c, d = (
-        part.ravel() for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1])
+        part.ravel()
+        for part in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1])
     )
     triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     return np.stack([x.ravel(), y.ravel()], 1), triangles

@@ -72,8 +72,8 @@ _FOLLOW = {
 def from_result(result: equimesh.Result, name: str = "equimesh", *, errors: bool = False) -> int:
     """Add a discrete model of the result, make it the current one, and give the surface's tag.
 
-    Physical groups: ``surface``, every named boundary curve and every name of constraints. With ``errors``, a view of that
-    name has the largest error of every triangle.
+    Physical groups: ``surface``, every named boundary curve and every name of constraints. With
+    ``errors``, a view of that name has the largest error of every triangle.
     """
     gmsh = opened()
     if name in gmsh.model.list():

@@ -118,7 +118,7 @@ def remesh(
     breaklines: Annotated[
         str | None,
         typer.Option(
-            metavar="FILE", help="Lines that must be edges, points that must be vertices."
+            metavar="FILE", help="Lines to be edges, points to be vertices."
         ),
     ] = None,
     fit: Annotated[

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -15,7 +12,7 @@ import shapely
 from equimesh.constraints import with_constraints
 from equimesh.domain import DomainLike, domain_geometry, sides_of
 from equimesh.drafts import best_draft
-from equimesh.errors import Cancelled, InputError
+from equimesh.errors import InputError
 from equimesh.fields import Bound, Field, Source, as_field
 from equimesh.metric import lower_bound
 from equimesh.optimise.driver import EFFORTS, optimise, repair
@@ -24,6 +21,7 @@ from equimesh.outcome import tagged_constraints, user_mesh
 from equimesh.profile import profile_of
 from equimesh.result import Result, Status
 from equimesh.riemann.metric import Metric
+from equimesh.stages import Stages
 
 __all__ = ["Effort", "Fit", "Progress", "remesh"]
 
@@ -34,27 +32,6 @@ Effort: TypeAlias = Literal["fast", "balanced", "best"]
 # The optimiser's own errors are a little below the certificate's bound; it aims this much lower.
 _AIM = 0.997
 _REPAIRS = 8
-
-
-@dataclass
-class _Stages:
-    """Tells progress and keeps the time of each stage."""
-
-    progress: Progress | None
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[Callable[[float], None]]:
-        start = time.perf_counter()
-
-        def report(fraction: float) -> None:
-            if self.progress is not None and self.progress(name, fraction) is False:
-                raise Cancelled("Cancelled by the caller.")
-
-        report(0.0)
-        yield report
-        report(1.0)
-        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
 
 def remesh(
@@ -137,11 +114,11 @@ def remesh(
         from equimesh.target import remesh_to_target
 
         return remesh_to_target(
-            source, most, domain, tol, fit=fit, effort=effort, seed=seed, progress=progress, bound=bound,
-            constraints=constraints,
+            source, most, domain, tol, fit=fit, effort=effort, seed=seed, progress=progress,
+            bound=bound, constraints=constraints,
         )  # fmt: skip
     assert tol is not None
-    stages = _Stages(progress)
+    stages = Stages(progress)
     with stages.stage("field"):
         geometry = None if domain is None else domain_geometry(domain)
         surface = as_field(source, geometry, bound)

@@ -92,7 +92,7 @@ def violations(m, limit):
 
 @compiled
 def split_borders(F, m, tol):
-    """Split border edges and walls until none is violated by much: little else lowers their errors."""
+    """Split border edges and walls until none is violated by much: little else lowers it."""
     made = 0
     t = 0
     while t < m.count[0] and m.count[0] + 16 < m.tv.shape[0]:
