@@ -1,18 +1,22 @@
-"""Mmg2d, BAMG, Gmsh and greedy insertion, each searched for its fewest triangles within a tolerance.
+"""Mmg2d, BAMG, Gmsh and greedy insertion, searched for their fewest triangles within a tolerance.
 
-The first three follow a metric: they get |H| / (c tol) from exact Hessians, at their own vertices in
-several passes, and c is searched until the largest true error keeps the tolerance. Greedy insertion
-(pydelatin) knows samples only: its own tolerance is searched. The best mesh of the search counts.
+The first three follow a metric: they get |H| / (c tol) from exact Hessians, at their own vertices
+in several passes, and c is searched until the largest true error keeps the tolerance. Mmg2d runs
+without and with a limit on the growth of edges, BAMG without and with one on the ratio of
+neighbours, each in a search of its own. Greedy insertion (pydelatin) knows samples only: its own
+tolerance is searched. The best mesh counts.
 """
 
 from __future__ import annotations
 
+import math
 import shutil
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -36,8 +40,9 @@ SAMPLES = 1025  # a side, for greedy insertion
 class Found:
     """The best mesh of a search: its triangles, its error over the tolerance, and the cost.
 
-    ``seconds`` are those of the tool in the whole search, ``one`` those of the pass that made the
-    mesh; measuring errors is not counted. ``triangles`` is 0 where nothing kept the tolerance.
+    ``seconds`` are those of the tool in the search that found the mesh, ``one`` those of the pass
+    that made it; measuring errors is not counted. ``triangles`` is 0 where nothing kept the
+    tolerance.
     """
 
     triangles: int = 0
@@ -69,7 +74,7 @@ def metric(case: Case, points: Array, unit: float) -> Array:
 
 
 def grid(box: tuple[float, ...], n: int) -> Mesh:
-    """n x n squares, each cut in two."""
+    """A square grid, n cells a side, each cut in two."""
     xmin, ymin, xmax, ymax = box
     x, y = np.meshgrid(np.linspace(xmin, xmax, n + 1), np.linspace(ymin, ymax, n + 1))
     corner = np.arange((n + 1) ** 2).reshape(n + 1, n + 1)
@@ -93,14 +98,15 @@ def tidy(mesh: Mesh, box: tuple[float, ...]) -> Mesh:
     return points, np.where(turned[:, None], triangles[:, [0, 2, 1]], triangles)
 
 
-def mmg2d_pass(mesh: Mesh, m: Array, box: tuple[float, ...]) -> tuple[Mesh, float]:
+def mmg2d_pass(mesh: Mesh, m: Array, box: tuple[float, ...], growth: float) -> tuple[Mesh, float]:
+    """``growth`` of edges from one to the next, -1 for any."""
     import mmgpy
 
     points, triangles = mesh
     run = mmgpy.MmgMesh2D(np.ascontiguousarray(points), np.ascontiguousarray(triangles, np.int32))
     run["tensor"] = m
     started = time.perf_counter()
-    run.remesh(verbose=-1, hgrad=-1.0)
+    run.remesh(verbose=-1, hgrad=growth)
     seconds = time.perf_counter() - started
     return (np.array(run.get_vertices())[:, :2], np.array(run.get_triangles(), np.int64)), seconds
 
@@ -111,15 +117,15 @@ fespace Vh(Th,P1); Vh m11,m12,m22;
 { ifstream i("m.txt");
   for(int k=0;k<Th.nv;k++){ real a,b,c; i>>a; i>>b; i>>c; m11[][k]=a; m12[][k]=b; m22[][k]=c; } }
 real t=clock();
-mesh Tn=adaptmesh(Th,m11,m12,m22,IsMetric=1,iso=false,ratio=0,anisomax=1e6,hmin=1e-8,hmax=1e3,
+mesh Tn=adaptmesh(Th,m11,m12,m22,IsMetric=1,iso=false,ratio=RATIO,anisomax=1e6,hmin=1e-8,hmax=1e3,
   nbvx=400000,splitin2=false,splitpbedge=false,maxsubdiv=10,inquire=false);
 { ofstream o("t.txt"); o << clock()-t << endl; }
 savemesh(Tn,"out.msh");
 """
 
 
-def bamg_pass(mesh: Mesh, m: Array, box: tuple[float, ...]) -> tuple[Mesh, float]:
-    """Through FreeFem++; seconds are those of its ``adaptmesh`` alone."""
+def bamg_pass(mesh: Mesh, m: Array, box: tuple[float, ...], ratio: int) -> tuple[Mesh, float]:
+    """Through FreeFem++; seconds are those of its ``adaptmesh`` alone. ``ratio`` 0: any."""
     points, triangles = mesh
     edges = independent.boundary_edges(triangles)
     middle = 0.5 * (points[edges[:, 0]] + points[edges[:, 1]])
@@ -135,7 +141,7 @@ def bamg_pass(mesh: Mesh, m: Array, box: tuple[float, ...]) -> tuple[Mesh, float
             np.savetxt(out, np.column_stack([triangles + 1, 0 * triangles[:, 0]]), fmt="%d")
             np.savetxt(out, np.column_stack([edges + 1, side]), fmt="%d")
         np.savetxt(folder / "m.txt", m, fmt="%.12g")
-        (folder / "a.edp").write_text(_SCRIPT, encoding="ascii")
+        (folder / "a.edp").write_text(_SCRIPT.replace("RATIO", str(ratio)), encoding="ascii")
         subprocess.run(
             ["FreeFem++", "-nw", "-v", "0", "a.edp"],
             cwd=folder, capture_output=True, check=True, timeout=120,
@@ -154,6 +160,7 @@ def gmsh_pass(mesh: Mesh, m: Array, box: tuple[float, ...]) -> tuple[Mesh, float
     points, triangles = mesh
     if not gmsh.isInitialized():
         gmsh.initialize(readConfigFiles=False, interruptible=False)
+        gmsh.option.setNumber("General.Terminal", 0)
     gmsh.clear()
     gmsh.model.add("box")
     corner = points[triangles]
@@ -261,14 +268,14 @@ class _Search:
 
 
 def greedy(case: Case, tol: float) -> Found:
-    """pydelatin on samples of a square grid, its tolerance lowered until the true error fits."""
+    """Delatin on samples of a square grid, its tolerance lowered until the true error fits."""
     from pydelatin import Delatin
 
     xmin, ymin, xmax, ymax = case.box
     x, y = np.linspace(xmin, xmax, SAMPLES), np.linspace(ymin, ymax, SAMPLES)
     heights = case(*np.meshgrid(x, y)).astype(np.float32)
     found, own = Found(), tol
-    for _ in range(8):
+    for k in range(10):
         started = time.perf_counter()
         made = Delatin(heights, max_error=own)
         corners, triangles = np.array(made.vertices, float), np.array(made.triangles, np.int64)
@@ -283,23 +290,25 @@ def greedy(case: Case, tol: float) -> Found:
             found.triangles, found.error, found.one = len(triangles), error, seconds
         if 0.97 < error <= 1.0:
             break
-        own *= float(np.clip(0.985 / error, 0.3, 2.0))
+        own *= float(np.clip((0.985 - 0.01 * k) / error, 0.3, 2.0))
     return found
 
 
-def _searches() -> Iterator[tuple[str, Callable[[Case, float], Found]]]:
-    for name, step, passes, fresh in (
-        ("mmg2d", mmg2d_pass, WARM, False),
-        ("bamg", bamg_pass, FRESH, True),  # it keeps vertices of a mesh that is too fine
-        ("gmsh", gmsh_pass, GMSH, False),
-    ):
-        yield name, lambda case, tol, s=step, p=passes, f=fresh: _Search(case, tol, s, p, f).run()
-    yield "pydelatin", greedy
-
-
-TOOLS = dict(_searches())
+# Passes for one c, from a grid each time or from the last mesh, and the ways to make one. BAMG
+# keeps vertices of a mesh that is too fine.
+_FOLLOWERS: dict[str, tuple[int, bool, tuple[Pass, ...]]] = {
+    "mmg2d": (WARM, False, (partial(mmg2d_pass, growth=-1.0), partial(mmg2d_pass, growth=2.0))),
+    "bamg": (FRESH, True, (partial(bamg_pass, ratio=0), partial(bamg_pass, ratio=2))),
+    "gmsh": (GMSH, False, (gmsh_pass,)),
+}
+TOOLS = (*_FOLLOWERS, "pydelatin")
 
 
 def searched(tool: str, case: Case, tol: float) -> Found:
     """The best that a tool does on a case."""
-    return TOOLS[tool](case, tol)
+    if tool == "pydelatin":
+        return greedy(case, tol)
+    passes, fresh, ways = _FOLLOWERS[tool]
+    made = [_Search(case, tol, way, passes, fresh).run() for way in ways]
+    best = min(made, key=lambda found: found.triangles or math.inf)
+    return replace(best, faults=[fault for found in made for fault in found.faults])

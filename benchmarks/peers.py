@@ -4,8 +4,8 @@
                                [--efforts fast balanced best]
 
 Every mesh keeps the tolerance at dense samples. The others' searches are described in
-``peer_tools.py``; their seconds are those of the tools alone, of all passes of the search and of the
-one pass that made the mesh. equimesh's are those of one call, all kernels compiled.
+``peer_tools.py``; their seconds are those of the tools alone, of all passes of the search and of
+the one pass that made the mesh. equimesh's are those of one call, all kernels compiled.
 """
 
 from __future__ import annotations
@@ -98,9 +98,8 @@ def ratios(made: list[Line]) -> Iterator[Row]:
         own = [line for line in made if line.tool == effort]
         if not own:
             continue
-        limits = [_limit(effort, line.least) for line in own]
-        missed = [f"F{a.number} at {a.tol:g} {a.ratio:.3f}" for a, b in zip(own, limits, strict=True)
-                  if a.ratio > b]  # fmt: skip
+        over = [line for line in own if line.ratio > _limit(effort, line.least)]
+        missed = [f"F{line.number} at {line.tol:g} {line.ratio:.3f}" for line in over]
         median = float(np.median([line.ratio for line in own]))
         asked = {
             "fast": "at most 1.25 where N* is 390 or more",
@@ -194,7 +193,7 @@ def main() -> int:
                 f"{count - len(faults)} of {count}{'; ' * bool(faults)}{'; '.join(faults)}",
                 "all",
                 not faults,
-            )  # fmt: skip
+            )
         )
     verdicts = [(row.what, row.figure, row.asked, row.verdict) for row in rows]
     print(table(("what", "figure", "asked", "met"), verdicts))

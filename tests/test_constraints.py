@@ -219,7 +219,7 @@ def test_what_lies_outside_is_left_out_and_said():
 
 
 @pytest.mark.parametrize(
-    ("constraints", "word"),
+    "constraints, word",
     [
         ([[(0.0, np.nan), (1.0, 1.0)]], "finite"),
         ([shapely.LineString()], "empty"),

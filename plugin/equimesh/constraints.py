@@ -83,6 +83,8 @@ def _polyline(points: Any) -> shapely.Geometry:
         raise InputError(
             "A constraint is no line and no point: give shapely geometries or (n, 2) arrays."
         )
+    if not np.isfinite(array).all():
+        raise InputError("A constraint has coordinates that are not finite: correct them.")
     return shapely.Point(array[0]) if len(array) == 1 else shapely.LineString(array)
 
 

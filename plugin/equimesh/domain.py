@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import shapely
@@ -71,8 +71,12 @@ def domain_geometry(domain: DomainLike) -> shapely.Geometry:
     return geometry
 
 
-def _none(columns: int, kind: type) -> Any:
-    return field(default_factory=lambda: np.empty((0, columns), kind))
+def _no_points() -> NDArray[np.float64]:
+    return np.empty((0, 2))
+
+
+def _no_pairs() -> NDArray[np.int64]:
+    return np.empty((0, 2), np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +89,11 @@ class Lines:
     for by which of the ``names``.
     """
 
-    nodes: NDArray[np.float64] = _none(2, float)
-    edges: NDArray[np.int64] = _none(2, np.int64)
-    edge_tags: NDArray[np.int64] = _none(2, np.int64)
-    side_tags: NDArray[np.int64] = _none(2, np.int64)
-    point_tags: NDArray[np.int64] = _none(2, np.int64)
+    nodes: NDArray[np.float64] = field(default_factory=_no_points)
+    edges: NDArray[np.int64] = field(default_factory=_no_pairs)
+    edge_tags: NDArray[np.int64] = field(default_factory=_no_pairs)
+    side_tags: NDArray[np.int64] = field(default_factory=_no_pairs)
+    point_tags: NDArray[np.int64] = field(default_factory=_no_pairs)
     names: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 

@@ -39,11 +39,15 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class _Trial:
-    """A tolerance that was tried, its number of triangles, and whether it was met."""
+    """A tolerance that was tried, its number of triangles, and the bound on their errors."""
 
     tol: float
     count: int
-    met: bool
+    bound: float
+
+    @property
+    def met(self) -> bool:
+        return self.bound <= self.tol
 
 
 @dataclass
@@ -59,7 +63,7 @@ class _Search:
     def take(self, result: Result) -> bool:
         """Note a result; whether no better one is to be hoped for."""
         count = len(result.triangles)
-        self.trials.append(_Trial(result.tol, count, result.status.ok))
+        self.trials.append(_Trial(result.tol, count, result.profile.bound))
         for stage, spent in result.timings.items():
             self.seconds[stage] = self.seconds.get(stage, 0.0) + spent
         if not self._fits(self.trials[-1]):
@@ -76,7 +80,8 @@ class _Search:
         """The next tolerance: a secant in logarithms, kept between those that bracket it."""
         met = [trial for trial in self.trials if trial.met]
         if not met:
-            return max(trial.tol for trial in self.trials) * _FACTOR
+            last = self.trials[-1]
+            return max(_FACTOR * last.tol, 1.01 * last.bound)
         logs = np.log([trial.tol for trial in met])
         excess = np.log([trial.count / (_AIM * self.most) for trial in met])
         k = int(np.abs(excess).argmin())

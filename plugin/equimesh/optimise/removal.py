@@ -76,6 +76,8 @@ def remove_vertex(F, m, tol, v, goal):
             if (joined and i == 0 and j == size - 1) or i < chord < j:
                 continue
             edge_e[i, j], edge_p[i, j] = edge_of(F, m, tol, ring[i], ring[j])
+    if halved:
+        edge_e[chord, n], edge_p[chord, n] = edge_e[0, chord], 1.0 - edge_p[0, chord]
     for span in range(2, size):
         for i in range(size - span):
             j = i + span
