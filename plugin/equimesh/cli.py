@@ -117,9 +117,7 @@ def remesh(
     domain: DomainOption = None,
     breaklines: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE", help="Lines to be edges, points to be vertices."
-        ),
+        typer.Option(metavar="FILE", help="Lines to be edges, points to be vertices."),
     ] = None,
     fit: Annotated[
         Fit, typer.Option(help="best: vertices may leave the surface, within the tolerance.")

@@ -29,8 +29,6 @@ Progress: TypeAlias = Callable[[str, float], Any]
 Fit: TypeAlias = Literal["interpolate", "best"]
 Effort: TypeAlias = Literal["fast", "balanced", "best"]
 
-# The optimiser's own errors are a little below the certificate's bound; it aims this much lower.
-_AIM = 0.997
 _REPAIRS = 8
 
 
@@ -131,9 +129,9 @@ def remesh(
         frame = surface.frame(covered)
     with stages.stage("seed"):
         sides = with_constraints(sides_of(covered), constraints, covered, frame)
-        start = best_draft(surface, kernel, sides, frame, _AIM * height, effort, fit == "best")
+        start = best_draft(surface, kernel, sides, frame, height, effort, fit == "best")
     with stages.stage("optimise") as report:
-        mesh, good = optimise(kernel, start.mesh, _AIM * height, effort, report)
+        mesh, good = optimise(kernel, start.mesh, start.aim, effort, report)
     with stages.stage("certify"):
         points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface)
         profile = profile_of(surface, points, triangles, height)
@@ -142,7 +140,7 @@ def remesh(
         if len(bad) == 0:
             break
         with stages.stage("optimise"):
-            mesh = repair(kernel, mesh, _AIM * height, slots[bad])
+            mesh = repair(kernel, mesh, start.aim, slots[bad])
         with stages.stage("certify"):
             points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface)
             profile = profile_of(surface, points, triangles, height)
