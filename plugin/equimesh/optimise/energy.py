@@ -1,10 +1,10 @@
 """What the optimiser lowers: how far the errors of edges and insides exceed the tolerance.
 
 The hinge ``h = max(0, e - hinge)``, a little below 1, leaves settled triangles alone. It is linear,
-and each violation costs a step besides: a convex power would trade a few large violations for many
-slight ones and spread them over a settled interior. Where a change is tried and undone if it fails, that spreading
-is wanted, and the price is h^2 (``SPREAD``). A small power keeps an order where nothing is
-violated.
+and each violation costs a step besides (``SETTLE``): a convex power would trade a few large
+violations for many slight ones and spread them over a settled interior. Where a change is tried and
+undone if it fails, that spreading is wanted, and the price is h^2 (``SPREAD``). Smooth powers bring
+crystals about (``SOFT``), or slack together where nothing is violated and must not be (``EVEN``).
 """
 
 from __future__ import annotations
