@@ -74,11 +74,13 @@ def test_turned_and_mirrored_maps_are_meshed_as_well(terrain, plain, transform):
 
 
 @pytest.mark.parametrize("factor", [1000.0, 0.001, 1 / 0.3048])
-def test_other_units_of_height_give_a_mesh_as_good(terrain, plain, factor):
+def test_other_units_of_height_give_the_same_mesh(terrain, plain, factor):
     result = equimesh.remesh(factor * terrain, "5%", effort="fast")
     assert result.status.ok
     assert result.tol == pytest.approx(factor * plain.tol)
-    assert len(result.triangles) == pytest.approx(len(plain.triangles), rel=0.05)
+    assert np.array_equal(result.triangles, plain.triangles)
+    assert result.points[:, :2] == pytest.approx(plain.points[:, :2], abs=1e-9)
+    assert result.points[:, 2] == pytest.approx(factor * plain.points[:, 2], rel=1e-12)
 
 
 def test_what_large_coordinates_cannot_tell_from_a_sample_is_the_sample():

@@ -15,7 +15,7 @@ import numba
 from equimesh.domain import Sides
 from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
-from equimesh.first_mesh import SETTLED, FirstMesh, first_mesh
+from equimesh.first_mesh import FirstMesh, first_mesh
 from equimesh.frame import Frame
 from equimesh.optimise.driver import EFFORTS, draft, seam_share
 
@@ -45,16 +45,15 @@ def best_draft(
     size = int(lattice.mesh.count[0])
     if kernel.kind != PATCHES or lattice.settled:
         return lattice
-    settled = seam_share(kernel, lattice.mesh, tol) <= _SEAMS
+    settled = seam_share(kernel, lattice.mesh, lattice.aim) <= _SEAMS
     number = max(1, min(EFFORTS[effort].drafts, _LARGE // size))
 
     def drafted(what: tuple[float | None, int]) -> FirstMesh:
         error, turn = what
         start = lattice
         if what != (None, 0):
-            share = SETTLED if error is None else error
-            start = first_mesh(surface, kernel, sides, frame, tol, share, two_sided, turn)
-        return dataclasses.replace(start, mesh=draft(kernel, start.mesh, tol, effort, error))
+            start = first_mesh(surface, kernel, sides, frame, tol, error, two_sided, turn)
+        return dataclasses.replace(start, mesh=draft(kernel, start.mesh, start.aim, effort, error))
 
     with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:
         drafts = list(pool.map(drafted, (_FLAT if settled else _CURVED)[:number]))

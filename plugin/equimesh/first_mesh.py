@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,10 +22,12 @@ from equimesh.optimise.sweep import step_aside
 from equimesh.seeding import lattice_points
 from equimesh.triangulation import constrained_delaunay
 
-__all__ = ["SETTLED", "FirstMesh", "first_mesh"]
+__all__ = ["FirstMesh", "first_mesh"]
 
-# Lattice triangles just below the optimiser's hinge, so that it leaves them alone.
-SETTLED = 0.982
+# What triangles give away for safety, in units of the tolerance, is the less the smaller they are:
+# between the lattice's errors, the optimiser's hinge, its aim and the tolerance itself.
+_SLACK = 0.5  # over the square root of the number of triangles, at most
+_MOST_SLACK = 0.015
 _MOST = 2e7  # triangles that memory is meant to hold
 
 
@@ -34,12 +37,14 @@ class FirstMesh:
 
     ``sides`` has the user's corners, directed as local coordinates see them. ``corner_of`` (n,)
     tells which of ``sides.vertices`` each first vertex is, -1 for none. ``settled``: no further
-    vertex is needed. Vertices slide on rows of ``sides.segments``.
+    vertex is needed. Vertices slide on rows of ``sides.segments``. ``aim``: the tolerance that the
+    optimiser is to keep, a little below the one asked for.
     """
 
     mesh: Mesh
     sides: Sides
     corner_of: NDArray[np.int64]
+    aim: float
     settled: bool = False
 
 
@@ -49,15 +54,16 @@ def first_mesh(
     sides: Sides,
     frame: Frame,
     tol: float,
-    error: float = SETTLED,
+    error: float | None = None,
     two_sided: bool = False,
     turn: int = 0,
 ) -> FirstMesh:
     """Vertices and triangles to start from, for a tolerance in units of z.
 
-    ``error``: that of the lattice's triangles in units of the tolerance. ``two_sided``: vertices
-    may leave the surface; where it is convex or concave they start beyond it (``kernel`` must know
-    it). ``turn`` numbers lattices that start elsewhere and turned.
+    ``error``: that of the lattice's triangles in units of the tolerance; None makes it a little
+    less than the optimiser's hinge, so that they are left alone. ``two_sided``: vertices may leave the
+    surface; where it is convex or concave they start beyond it (``kernel`` must know it). ``turn``
+    numbers lattices that start elsewhere and turned.
     """
     sides = _handed(sides, frame)
     local = dataclasses.replace(
@@ -68,6 +74,7 @@ def first_mesh(
     ring = _corners_only(local)
     chains = _Chains(np.empty((0, 2)), sides.lines.edges, np.empty(0, np.int64))
     inner = np.empty((0, 2))
+    slack = _MOST_SLACK
     settled = kernel.kind == PATCHES and _coarse_is_enough(surface, sides, tol)
     if kernel.kind == PATCHES and not settled:
         coarse, edges, walls = _outline(ring, local, chains)
@@ -81,13 +88,16 @@ def first_mesh(
                 f"The tolerance asks for about {expected:.1e} triangles: raise it, or mesh the "
                 "domain in parts."
             )
-        height = tol * error / SETTLED
+        slack = min(_MOST_SLACK, _SLACK / math.sqrt(max(expected, 1.0)))
+        reached = 1.0 - 1.2 * slack
+        height = tol if error is None else tol * error / reached
         nodes = boundary_nodes(kernel, local, height, floor)
         corner = np.where(nodes.corner, nodes.side, -1)
         ring = _merged(nodes.points, nodes.following, nodes.side, corner)
         chains = _equidistributed(kernel, local, height, floor)
         inner = lattice_points(
-            kernel, local, nodes, error * tol, floor, int(expected) + 10,
+            kernel, local, nodes, (reached if error is None else error) * _aim(tol, slack), floor,
+            int(expected) + 10,
             turn=turn, obstacles=chains.segments(local),
         )  # fmt: skip
     points, edges, walls = _outline(ring, local, chains)
@@ -110,8 +120,10 @@ def first_mesh(
     if two_sided:
         mesh.count[HEIGHTS] = 1
         if kernel.kind == PATCHES and not settled:
-            step_aside(kernel, mesh, tol * error)
-    return FirstMesh(mesh, sides, corner_of, settled)
+            step_aside(kernel, mesh, _aim(tol, slack) * (error or 1.0))
+    if error is None:
+        mesh.hinge[0] = 1.0 - slack
+    return FirstMesh(mesh, sides, corner_of, _aim(tol, slack), settled)
 
 
 class _Ring(NamedTuple):
@@ -167,6 +179,10 @@ def _outline(
     points = np.vstack([ring.points, nodes, chains.points])
     place = np.concatenate([ring.place, np.arange(len(ring.points), len(points))])
     return points, ring.edges, place[chains.walls]
+
+
+def _aim(tol: float, slack: float) -> float:
+    return tol * (1.0 - 0.2 * slack)
 
 
 def _coarse_is_enough(surface: Field, sides: Sides, tol: float) -> bool:

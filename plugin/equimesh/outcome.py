@@ -16,12 +16,18 @@ __all__ = ["tagged_constraints", "user_mesh"]
 
 
 def user_mesh(
-    mesh: Mesh, start: FirstMesh, frame: Frame, surface: Field
+    mesh: Mesh,
+    start: FirstMesh,
+    frame: Frame,
+    surface: Field,
+    unit: float = 1.0,
+    lowest: float = 0.0,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], Boundary, NDArray[np.int64]]:
     """Points (n, 3), counter-clockwise triangles (m, 3), tagged boundary, and each triangle's slot.
 
     Heights come from the surface itself. Corners keep the coordinates they were given, and vertices
-    on an upright side that side's own coordinate to the last bit.
+    on an upright side that side's own coordinate to the last bit. The mesh counts heights from
+    ``lowest`` in units of ``unit``.
     """
     slots = np.flatnonzero(mesh.tv[:, 0] >= 0)
     live = np.flatnonzero(mesh.kind != GONE)
@@ -38,9 +44,11 @@ def user_mesh(
     for axis in range(2):
         upright = ends[:, axis] == ends[:, axis + 2]
         plane[sliding[upright], axis] = ends[upright, axis]
-    z = surface.value(plane[:, 0], plane[:, 1]) + mesh.w[live]
+    z = surface.value(plane[:, 0], plane[:, 1]) + unit * mesh.w[live]
     lost = ~np.isfinite(z)
-    z[lost] = mesh.z[live][lost]  # on an outline drawn within the tolerance, beside the surface
+    z[lost] = (
+        lowest + unit * mesh.z[live][lost]
+    )  # on an outline drawn within the tolerance, beside the surface
     border, own = _border(mesh, start)
     edges = index[border]
     if frame.determinant < 0.0:

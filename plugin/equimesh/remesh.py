@@ -14,6 +14,7 @@ from equimesh.domain import DomainLike, domain_geometry, sides_of
 from equimesh.drafts import best_draft
 from equimesh.errors import InputError
 from equimesh.fields import Bound, Field, Source, as_field
+from equimesh.fields.raster import Raster
 from equimesh.metric import lower_bound
 from equimesh.optimise.driver import EFFORTS, optimise, repair
 from equimesh.optimise.mesh import Mesh
@@ -29,8 +30,6 @@ Progress: TypeAlias = Callable[[str, float], Any]
 Fit: TypeAlias = Literal["interpolate", "best"]
 Effort: TypeAlias = Literal["fast", "balanced", "best"]
 
-# The optimiser's own errors are a little below the certificate's bound; it aims this much lower.
-_AIM = 0.997
 _REPAIRS = 8
 
 
@@ -125,26 +124,31 @@ def remesh(
         whole = geometry if geometry is not None else surface.outline(0.0)
         height = tolerance(tol, surface, whole)
         covered = _covered(surface, geometry, height)
-        kernel = surface.kernel(covered, height)
+        meshed, unit, lowest = surface, 1.0, 0.0
+        if isinstance(surface, Raster):
+            (meshed, lowest), unit = surface.in_tolerances(height), height
+        kernel = meshed.kernel(covered, height / unit)
         if fit == "best":
             kernel = kernel.two_sided()
         frame = surface.frame(covered)
     with stages.stage("seed"):
         sides = with_constraints(sides_of(covered), constraints, covered, frame)
-        start = best_draft(surface, kernel, sides, frame, _AIM * height, effort, fit == "best")
+        start = best_draft(meshed, kernel, sides, frame, height / unit, effort, fit == "best")
     with stages.stage("optimise") as report:
-        mesh, good = optimise(kernel, start.mesh, _AIM * height, effort, report)
+        mesh, good = optimise(kernel, start.mesh, start.aim, effort, report)
     with stages.stage("certify"):
-        points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface)
+        points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface, unit, lowest)
         profile = profile_of(surface, points, triangles, height)
     for _ in range(_REPAIRS if good else 0):
         bad = np.flatnonzero(profile.bounds > height)
         if len(bad) == 0:
             break
         with stages.stage("optimise"):
-            mesh = repair(kernel, mesh, _AIM * height, slots[bad])
+            mesh = repair(kernel, mesh, start.aim, slots[bad])
         with stages.stage("certify"):
-            points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface)
+            points, triangles, boundary, slots = user_mesh(
+                mesh, start, frame, surface, unit, lowest
+            )
             profile = profile_of(surface, points, triangles, height)
     least = math.nan
     if surface.smooth:

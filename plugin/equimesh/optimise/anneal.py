@@ -78,10 +78,10 @@ def _worst_around(m, v):
 
 
 @compiled
-def _exchange(F, m, tol, q, candidates, waste, visits):
+def _exchange(F, m, tol, q, candidates, waste, visits, stamp, number):
     """Remove each candidate whose waste is positive, or insert beside it; keep what pays.
 
-    Returns how many changes were kept.
+    Vertices around what was kept get the stamp ``number``. Returns how many changes were kept.
     """
     kept = 0
     for i in range(candidates.shape[0]):
@@ -104,6 +104,11 @@ def _exchange(F, m, tol, q, candidates, waste, visits):
             triangles = 2 if _push_star(m, q, v) else 1
         relax(F, m, tol, q, visits, 12)
         if _energy_change(m) + _MU * triangles < 0.0:
+            for j in range(m.count[LOG_T]):
+                t = m.log_ti[j, 0]
+                if m.tv[t, 0] >= 0:
+                    for k in range(3):
+                        stamp[m.tv[t, k]] = number
             commit(m)
             kept += 1
         else:
@@ -118,14 +123,15 @@ def anneal(field: KernelField, mesh: Mesh, tol: float, queue: Queue, rounds: int
     evaluate_all(field, mesh, tol)
     flip_all(field, mesh, tol, 50)
     relax_everything(field, mesh, tol, queue, 10)
-    for _ in range(rounds):
+    stamp = np.zeros(len(mesh.x), np.int64)
+    for number in range(1, rounds + 1):
         candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
+        candidates = candidates[stamp[candidates] == number - 1]
         waste = vertex_waste(field, mesh, tol, candidates)
         off = np.flatnonzero(np.abs(waste) > 1.0)
         order = off[np.argsort(-np.abs(waste[off]), kind="stable")]
-        kept = _exchange(field, mesh, tol, queue, candidates[order], waste[order], _VISITS)
-        total += kept
-        if kept < 0.002 * len(candidates):
-            break
+        total += _exchange(
+            field, mesh, tol, queue, candidates[order], waste[order], _VISITS, stamp, number
+        )
     mesh.count[MANNER] = SETTLE
     return total

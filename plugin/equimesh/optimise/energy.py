@@ -1,10 +1,10 @@
 """What the optimiser lowers: how far the errors of edges and insides exceed the tolerance.
 
-The hinge ``h = max(0, e - 0.985)`` leaves settled triangles alone. It is linear, and each violation
-costs a step besides: a convex power would trade a few large violations for many slight ones and
-spread them over a settled interior. Where a change is tried and undone if it fails, that spreading
-is wanted, and the price is h^2 (``SPREAD``). A small power keeps an order where nothing is
-violated.
+The hinge ``h = max(0, e - hinge)``, a little below 1, leaves settled triangles alone. It is linear,
+and each violation costs a step besides (``SETTLE``): a convex power would trade a few large
+violations for many slight ones and spread them over a settled interior. Where a change is tried and
+undone if it fails, that spreading is wanted, and the price is h^2 (``SPREAD``). Smooth powers bring
+crystals about (``SOFT``), or slack together where nothing is violated and must not be (``EVEN``).
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from equimesh.optimise.model import alike, model_edge, model_inner
 from equimesh.optimise.topology import note_triangle
 
 __all__ = [
-    "HINGE",
     "ROOM",
     "evaluate_all",
     "evaluate_triangle",
@@ -29,7 +28,6 @@ __all__ = [
     "set_inner",
 ]
 
-HINGE = 0.985
 ROOM = 0.98  # how far vertices may leave the surface, in units of the tolerance, where they may
 _CEILING = 1e3  # beyond it, more is not worse: keeps sums finite
 
@@ -38,7 +36,7 @@ _CEILING = 1e3  # beyond it, more is not worse: keeps sums finite
 def penalty(m, e):
     """Price of an error e (in units of the tolerance, signed), in the mesh's present manner."""
     e = min(abs(e), _CEILING)
-    over = e - HINGE
+    over = e - m.hinge[0]
     e2 = e * e
     if m.count[MANNER] == SOFT:
         return e2 * e2 * e2

@@ -13,7 +13,7 @@ import math
 from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import gradient
 from equimesh.fields.kernel import PATCHES
-from equimesh.optimise.energy import HINGE, ROOM, edge_of, inner_of, lift, penalty
+from equimesh.optimise.energy import ROOM, edge_of, inner_of, lift, penalty
 from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, MODEL, SLIDES
 from equimesh.optimise.model import model_rise
 from equimesh.optimise.topology import ample, flip, note_triangle, note_vertex, star
@@ -136,7 +136,7 @@ def _residuals(F, m, tol, v, n, closed):
         hx, hy = model_rise(m, v, r, px - vx, py - vy) if model else gradient(F, px, py)
         if math.isfinite(hx) and math.isfinite(hy):
             w = (1.0 - s) * (1.0 if e > 0.0 else -1.0)
-            m.work[5, count] = abs(e) - HINGE
+            m.work[5, count] = abs(e) - m.hinge[0]
             m.work[6, count], m.work[7, count] = w * (hx - gx) / tol, w * (hy - gy) / tol
             m.work[8, count] = -w
             count += 1
@@ -152,7 +152,7 @@ def _residuals(F, m, tol, v, n, closed):
         hx, hy = model_rise(m, v, p, x - vx, y - vy) if model else gradient(F, x, y)
         if math.isfinite(hx) and math.isfinite(hy):
             w *= 1.0 if e > 0.0 else -1.0
-            m.work[5, count] = abs(e) - HINGE
+            m.work[5, count] = abs(e) - m.hinge[0]
             m.work[6, count], m.work[7, count] = w * (hx - gx) / tol, w * (hy - gy) / tol
             m.work[8, count] = -w
             count += 1
@@ -276,7 +276,7 @@ def _probe(F, m, tol, v, n, closed, before):
         if i < n:
             r = m.ring[0, i]
             px, py = m.x[r], m.y[r]
-        elif abs(m.ie[t]) > HINGE:
+        elif abs(m.ie[t]) > m.hinge[0]:
             px, py = m.ix[t], m.iy[t]
         else:
             continue
