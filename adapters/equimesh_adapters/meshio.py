@@ -4,8 +4,8 @@ A result becomes triangles and, after them, the lines of its boundary and of its
 cell belongs to one named group, ``surface`` or a curve: ``cell_sets`` by name, and in
 ``field_data`` each name's number and dimension, as for Gmsh's physical groups. ``point_data`` has
 the ``value`` of every vertex and ``cell_data`` the largest ``error`` of every triangle, on lines
-that of the triangle beside. Files of these kinds have no named groups: there, meshio's own convention is
-followed, one integer for every cell under the joined names.
+that of the triangle beside. Files of these kinds have no named groups: there, meshio's own
+convention is followed, one integer for every cell under the joined names.
 """
 
 from __future__ import annotations

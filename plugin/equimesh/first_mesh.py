@@ -61,9 +61,9 @@ def first_mesh(
     """Vertices and triangles to start from, for a tolerance in units of z.
 
     ``error``: that of the lattice's triangles in units of the tolerance; None makes it a little
-    less than the optimiser's hinge, so that they are left alone. ``two_sided``: vertices may leave the
-    surface; where it is convex or concave they start beyond it (``kernel`` must know it). ``turn``
-    numbers lattices that start elsewhere and turned.
+    less than the optimiser's hinge, so that they are left alone. ``two_sided``: vertices may leave
+    the surface; where it is convex or concave they start beyond it (``kernel`` must know it).
+    ``turn`` numbers lattices that start elsewhere and turned.
     """
     sides = _handed(sides, frame)
     local = dataclasses.replace(

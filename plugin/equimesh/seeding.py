@@ -31,6 +31,7 @@ def lattice_points(
     gap: float = _GAP,
     merge: float = _MERGE,
     turn: int = 0,
+    start: NDArray[np.float64] | None = None,
     obstacles: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Interior vertices of the lattice for tolerance ``tol`` (local coordinates).
@@ -42,6 +43,8 @@ def lattice_points(
     turn
         Which of the quasi-random seeds comes first; its gauge (a rotation, or a boost where the
         surface is a saddle) is as many times 0.4.
+    start
+        (k, 3) places and gauges to try as seeds before the quasi-random ones.
     obstacles
         (w, 4) segments inside the domain to keep away from as from the boundary.
 
@@ -66,6 +69,8 @@ def lattice_points(
     seeds = np.hstack([seeds, np.zeros((len(seeds), 1))])
     seeds[:, 2] = 0.4 * turn
     seeds[[0, turn]] = seeds[[turn, 0]]
+    if start is not None:
+        seeds = np.vstack([start, seeds])
     count = grow(
         field.frame, field.child, field.coef, 8.0 * tol, floor,
         segments, *strips, tree, link, used, box, px, py,
