@@ -31,7 +31,7 @@ FLOOR = 1e-12
 
 def field_of(f):
     p = fit_patches(f, shapely.box(-1, -1, 1, 1), 1e-9)
-    return KernelField(PATCHES, frame=np.array([*p.origin, p.side]), child=p.child, coef=p.coef)
+    return KernelField(PATCHES, frame=np.array([*p.origin, p.side, 1.0]), child=p.child, coef=p.coef)
 
 
 def frame_of(field, x, y, tol, floor=FLOOR):
@@ -201,3 +201,15 @@ def test_the_bound_ignores_rotation_and_units(angle, grow, lift):
     triangles = triangles if area else triangles[:, ::-1]
     expected = 2 * (math.exp(0.5) - 1) ** 2 / SADDLE / 1e-2
     assert lower_bound(kernel, corners, triangles, 1e-2 * lift) == pytest.approx(expected, rel=2e-3)
+
+
+@pytest.mark.parametrize("text", ["2*x**2+x*y+y**2", "-x**2-3*y**2"])
+def test_vertices_beside_a_convex_surface_see_half_its_metric(text):
+    field = field_of(parse(text).value)
+    one, _, _ = frame_of(field, 0.1, 0.2, 1e-3)
+    two, _, _ = frame_of(field.two_sided(), 0.1, 0.2, 1e-3)
+    assert two == pytest.approx(np.sqrt(2) * one)
+    saddle = field_of(parse("x*y").value)
+    one, _, _ = frame_of(saddle, 0.1, 0.2, 1e-3)
+    two, _, _ = frame_of(saddle.two_sided(), 0.1, 0.2, 1e-3)
+    assert two == pytest.approx(one)
