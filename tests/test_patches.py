@@ -33,7 +33,9 @@ TEXTS = ["exp(3*x)*sin(3*y)", "1/(x**2+y**2+1/4)", "tanh(8*(x-y**2))", FRANKE]
 
 def field_of(f, tol, domain=SQUARE):
     p = fit_patches(f, domain, tol)
-    return KernelField(PATCHES, frame=np.array([*p.origin, p.side, 1.0]), child=p.child, coef=p.coef)
+    return KernelField(
+        PATCHES, frame=np.array([*p.origin, p.side, 1.0]), child=p.child, coef=p.coef
+    )
 
 
 def polynomial(seed, degree=5):
