@@ -136,20 +136,21 @@ def overwrite(meshset: pymeshlab.MeshSet, layer: Layer, *, new: bool = False) ->
     """Make the current layer equal to ``layer``, its vertices in some other order.
 
     Its number, label, matrix and textures stay; ``new`` leaves it alone and does so with a copy,
-    the current layer afterwards. The number changes also where it could not stay: filters crash on
-    custom attributes of vertices that a mesh had before ``MeshSet.add_mesh`` copied it.
+    the current layer afterwards.
+
+    Raises InputError where the layer is damaged: PyMeshLab's filters write beyond custom attributes
+    of vertices that a mesh had before ``MeshSet.add_mesh`` copied it.
     """
-    number, matrix = meshset.current_mesh_id(), meshset.current_mesh().transform_matrix()
-    sane = _sane(meshset, layer)
-    if new or not sane:
+    matrix = meshset.current_mesh().transform_matrix()
+    if not _sane(meshset, layer):
+        raise InputError(
+            "PyMeshLab's filters crash on custom vertex attributes from before add_mesh(): add "
+            "them to current_mesh() afterwards."
+        )
+    if new:
         label = meshset.current_mesh().label()
         meshset.generate_copy_of_current_mesh()  # without custom attributes
-        made = meshset.current_mesh_id()
-        meshset.current_mesh().set_label(f"{label} (equimesh)" if new else label)
-        if not new:
-            meshset.set_current_mesh(number)
-            meshset.delete_current_mesh()
-            meshset.set_current_mesh(made)
+        meshset.current_mesh().set_label(f"{label} (equimesh)")
     meshset.set_matrix(transformmatrix=np.eye(4), freeze=False)
     writer = _Writer(meshset)
     writer.cut_apart(len(layer.triangles))

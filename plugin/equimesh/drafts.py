@@ -28,7 +28,6 @@ _FLAT = ((None, 0), (0.93, 0), (0.9, 0), (None, 1), (None, 2), (None, 3), (None,
 _CURVED = (
     (0.9, 0), (0.87, 0), (0.93, 0), (None, 0), (0.9, 1), (0.87, 1), (0.93, 1), (0.89, 2),
 )  # fmt: skip
-_LARGE = 40_000  # triangles of all drafts together beyond which one is enough
 
 
 def best_draft(
@@ -46,7 +45,9 @@ def best_draft(
     if kernel.kind != PATCHES or lattice.settled:
         return lattice
     settled = seam_share(kernel, lattice.mesh, lattice.aim) <= _SEAMS
-    number = max(1, min(EFFORTS[effort].drafts, _LARGE // size))
+    how = EFFORTS[effort]
+    most = 2 * how.triangles if settled else how.triangles  # lattices that fit cost little
+    number = max(1, min(how.drafts, most // size))
 
     def drafted(what: tuple[float | None, int]) -> FirstMesh:
         error, turn = what

@@ -54,12 +54,14 @@ _ON_DATA = {"fast": (1, 48), "balanced": (6, 120), "best": (20, 600)}
 class Effort:
     """How long to look for vertices that can go.
 
-    ``drafts``: first meshes that are tried on Taylor's errors, each with ``rounds`` of removal and
-    at most ``visits`` moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the
+    ``drafts``: at most so many first meshes are tried on Taylor's errors, with about ``triangles``
+    in all of them together, each with ``rounds`` of removal and at most ``visits`` moves of
+    vertices around every trial; ``last_rounds`` and ``last_visits`` the
     same for the best of them on the true errors.
     """
 
     drafts: int
+    triangles: int
     rounds: int
     visits: int
     last_rounds: int
@@ -67,9 +69,9 @@ class Effort:
 
 
 EFFORTS = {
-    "fast": Effort(1, 2, 60, 0, 0),
-    "balanced": Effort(3, 6, 120, 2, 60),
-    "best": Effort(8, 20, 300, 20, 600),
+    "fast": Effort(1, 0, 2, 60, 0, 0),
+    "balanced": Effort(5, 10_000, 6, 120, 2, 60),
+    "best": Effort(8, 60_000, 20, 300, 20, 600),
 }
 
 
