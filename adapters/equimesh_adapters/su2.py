@@ -80,11 +80,20 @@ def _sections(text: str) -> list[tuple[str, int | str, list[str]]]:
             raise InputError(
                 f"The SU2 mesh announces {name}= {count} but holds {len(lines)}: it is cut short."
             )
+    announced = sum(int(count) for name, count, _ in sections if name == "NMARK")
+    markers = sum(name == "MARKER_ELEMS" for name, _, _ in sections)
+    if markers != announced or not any(name == "NMARK" for name, _, _ in sections):
+        raise InputError(
+            f"The SU2 mesh announces NMARK= {announced} but holds {markers}: it is cut short."
+        )
     return sections
 
 
 def _cells(lines: list[str]) -> list[list[int]]:
     cells = [[int(word) for word in line.split()] for line in lines]
+    for numbers in cells:
+        if len(numbers) <= CORNERS[numbers[0]]:
+            raise InputError("An element of the SU2 mesh lacks corners: the file is cut short.")
     return [numbers[1 : 1 + CORNERS[numbers[0]]] for numbers in cells]
 
 
