@@ -47,7 +47,7 @@ Report = Callable[[float], None]
 _WORTH = 1.5
 _EXCHANGES = 4  # rounds of annealing
 # Rounds of removal and visits on data, which have no Taylor's formula.
-_ON_DATA = {"fast": (1, 48), "balanced": (6, 120), "best": (20, 600)}
+_ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (20, 600)}
 
 
 @dataclass(frozen=True)
