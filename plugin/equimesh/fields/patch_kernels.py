@@ -9,11 +9,19 @@ from __future__ import annotations
 
 from equimesh.fields.compiled import compiled, inlined
 
-__all__ = ["derivatives2", "derivatives3", "edge_error", "gradient", "inner_error", "value"]
+__all__ = [
+    "derivatives2",
+    "derivatives3",
+    "edge_error",
+    "gradient",
+    "inner_error",
+    "locate",
+    "value",
+]
 
 
 @inlined
-def _locate(frame, child, x, y):
+def locate(frame, child, x, y):
     """Leaf that holds (x, y), its local coordinates s, t and the half width of its cell."""
     side = frame[2]
     u = min(max((x - frame[0]) / side, 0.0), 1.0)
@@ -33,7 +41,7 @@ def _locate(frame, child, x, y):
 
 @compiled
 def _value(frame, child, coef, x, y):
-    leaf, s, t, _ = _locate(frame, child, x, y)
+    leaf, s, t, _ = locate(frame, child, x, y)
     c = coef[leaf]
     a0, a1, a2, a3 = c[7, 0], c[7, 1], c[7, 2], c[7, 3]
     a4, a5, a6, a7 = c[7, 4], c[7, 5], c[7, 6], c[7, 7]
@@ -57,7 +65,7 @@ def value(F, x, y):
 @compiled
 def derivatives2(frame, child, coef, x, y):
     """f, f_x, f_y, f_xx, f_xy, f_yy."""
-    leaf, s, t, half = _locate(frame, child, x, y)
+    leaf, s, t, half = locate(frame, child, x, y)
     c = coef[leaf]
     f = fs = ft = fss = fst = ftt = 0.0
     for j in range(7, -1, -1):
@@ -79,7 +87,7 @@ def derivatives2(frame, child, coef, x, y):
 @compiled
 def derivatives3(frame, child, coef, x, y):
     """f_xx, f_xy, f_yy, f_xxx, f_xxy, f_xyy, f_yyy."""
-    leaf, s, t, half = _locate(frame, child, x, y)
+    leaf, s, t, half = locate(frame, child, x, y)
     c = coef[leaf]
     f = ft = ftt = fttt = fs = fst = fstt = fss = fsst = fsss = 0.0
     for j in range(7, -1, -1):
@@ -114,7 +122,7 @@ def derivatives3(frame, child, coef, x, y):
 
 @compiled
 def gradient(F, x, y):
-    leaf, s, t, half = _locate(F.frame, F.child, x, y)
+    leaf, s, t, half = locate(F.frame, F.child, x, y)
     c = F.coef[leaf]
     f = fs = ft = 0.0
     for j in range(7, -1, -1):

@@ -21,7 +21,6 @@ from equimesh.optimise.topology import note_triangle
 __all__ = [
     "ROOM",
     "evaluate_all",
-    "evaluate_triangle",
     "lift",
     "penalty",
     "set_edge",
@@ -116,15 +115,6 @@ def set_edge(m, t, k, e, s):
 @compiled
 def set_inner(F, m, tol, t):
     m.ie[t], m.ix[t], m.iy[t] = inner_of(F, m, tol, m.tv[t, 0], m.tv[t, 1], m.tv[t, 2])
-
-
-@compiled
-def evaluate_triangle(F, m, tol, t):
-    """Errors of t's inside and of its three edges; the caller has noted t."""
-    for k in range(3):
-        e, s = edge_of(F, m, tol, m.tv[t, k], m.tv[t, (k + 1) % 3])
-        set_edge(m, t, k, e, s)
-    set_inner(F, m, tol, t)
 
 
 @compiled

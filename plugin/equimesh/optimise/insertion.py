@@ -14,6 +14,7 @@ from equimesh.optimise.topology import (
     note_triangle,
     note_vertex,
     positive,
+    redirect,
     turns_by,
 )
 
@@ -47,8 +48,8 @@ def split_inside(F, m, tol, t, x, y):
     n1, n2 = m.tn[t, 1], m.tn[t, 2]
     _become(m, t1, b, c, v, n1, t2, t, m.wall[t, 1], m.ee[t, 1], m.ep[t, 1])
     _become(m, t2, c, a, v, n2, t, t1, m.wall[t, 2], m.ee[t, 2], m.ep[t, 2])
-    _redirect(m, n1, t, t1, b)
-    _redirect(m, n2, t, t2, c)
+    redirect(m, n1, t, t1, b)
+    redirect(m, n2, t, t2, c)
     _become(m, t, a, b, v, m.tn[t, 0], t1, t2, m.wall[t, 0], m.ee[t, 0], m.ep[t, 0])
     for k in range(3):
         w = m.tv[t1, k] if k < 2 else a
@@ -68,17 +69,6 @@ def _become(m, t, a, b, c, n0, n1, n2, wall, e, p):
     m.tn[t, 0], m.tn[t, 1], m.tn[t, 2] = n0, n1, n2
     m.wall[t, 0], m.wall[t, 1], m.wall[t, 2] = wall, 0, 0
     m.ee[t, 0], m.ep[t, 0] = e, p
-
-
-@compiled
-def _redirect(m, u, old, new, a):
-    """Make u, beyond the edge that starts at a on the other side, look at ``new``."""
-    if u >= 0:
-        note_triangle(m, u)
-        for j in range(3):
-            if m.tn[u, j] == old and m.tv[u, (j + 1) % 3] == a:
-                m.tn[u, j] = new
-                return
 
 
 @compiled
@@ -129,7 +119,7 @@ def split_edge(F, m, tol, t, k, s):
     # t = (c, a, v), t1 = (b, c, v): edge 0 of each is an old one.
     _become(m, t1, b, c, v, nbc, t, -1, wbc, ebc, pbc)
     _become(m, t, c, a, v, nca, -1, t1, wca, eca, pca)
-    _redirect(m, nbc, t, t1, b)
+    redirect(m, nbc, t, t1, b)
     m.wall[t, 1], m.wall[t1, 2] = wall, wall
     note_vertex(m, a)
     note_vertex(m, b)
@@ -146,7 +136,7 @@ def split_edge(F, m, tol, t, k, s):
         # u = (d, b, v) beyond t1; u1 = (a, d, v) beyond t.
         _become(m, u1, a, d, v, nad, u, t, wad, ead, pad)
         _become(m, u, d, b, v, ndb, t1, u1, wdb, edb, pdb)
-        _redirect(m, nad, u, u1, a)
+        redirect(m, nad, u, u1, a)
         m.wall[u, 1], m.wall[u1, 2] = wall, wall
         m.tn[t, 1], m.tn[t1, 2] = u1, u
         note_vertex(m, d)

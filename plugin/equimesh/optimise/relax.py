@@ -13,7 +13,7 @@ from equimesh.optimise.mesh import GONE
 from equimesh.optimise.moves import move_vertex, try_flip
 from equimesh.optimise.topology import room_left, star
 
-__all__ = ["Queue", "make_queue", "push", "push_violated", "relax"]
+__all__ = ["Queue", "make_queue", "push", "push_violated", "relax", "take"]
 
 _IDLE = 1e-3  # a star with a smaller penalty is left alone
 
@@ -60,6 +60,29 @@ def clear(q):
 
 
 @compiled
+def take(m, q, per_vertex):
+    """The next vertex that is there and had fewer than ``per_vertex`` visits, this one counted.
+
+    -1 where the queue has none.
+    """
+    size = q.items.shape[0]
+    while q.state[1] > 0:
+        v = q.items[q.state[0]]
+        q.state[0] = (q.state[0] + 1) % size
+        q.state[1] -= 1
+        q.waiting[v] = 0
+        if m.kind[v] == GONE:
+            continue
+        if q.stamp[v] != q.state[2]:
+            q.stamp[v] = q.state[2]
+            q.visits[v] = 0
+        if q.visits[v] < per_vertex:
+            q.visits[v] += 1
+            return v
+    return -1
+
+
+@compiled
 def push_violated(m, q):
     """All vertices of violated edges and insides, in the order of their numbers."""
     for t in range(m.count[0]):
@@ -100,23 +123,11 @@ def _flip_around(F, m, tol, v):
 @compiled
 def relax(F, m, tol, q, budget, per_vertex):
     """Work the queue off; at most ``budget`` visits and ``per_vertex`` for each. Returns visits."""
-    size = q.items.shape[0]
     done = 0
-    while q.state[1] > 0 and done < budget:
-        v = q.items[q.state[0]]
-        q.state[0] = (q.state[0] + 1) % size
-        q.state[1] -= 1
-        q.waiting[v] = 0
-        if m.kind[v] == GONE:
-            continue
-        if q.stamp[v] != q.state[2]:
-            q.stamp[v] = q.state[2]
-            q.visits[v] = 0
-        if q.visits[v] >= per_vertex:
-            continue
-        if not room_left(m):
+    while done < budget:
+        v = take(m, q, per_vertex)
+        if v < 0 or not room_left(m):
             break
-        q.visits[v] += 1
         done += 1
         flipped = _flip_around(F, m, tol, v)
         gain = move_vertex(F, m, tol, v)

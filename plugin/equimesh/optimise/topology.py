@@ -19,7 +19,8 @@ from equimesh.optimise.mesh import (
 __all__ = [
     "ample",
     "begin", "commit", "drop_triangle", "drop_vertex", "flip", "new_triangle", "new_vertex",
-    "note_triangle", "note_vertex", "positive", "rollback", "room_left", "star", "turns_by",
+    "note_triangle", "note_vertex", "positive", "redirect", "rollback", "room_left", "star",
+    "turns_by",
 ]  # fmt: skip
 
 # Twice the area of a triangle over the squares of its edges. A split may make the thinnest
@@ -230,6 +231,17 @@ def star(m, v):
             return n, True
         t = following
     return 0, False
+
+
+@compiled
+def redirect(m, u, old, new, a):
+    """Make u, beyond the edge that starts at a on the other side, look at ``new``."""
+    if u >= 0:
+        note_triangle(m, u)
+        for j in range(3):
+            if m.tn[u, j] == old and m.tv[u, (j + 1) % 3] == a:
+                m.tn[u, j] = new
+                return
 
 
 @compiled

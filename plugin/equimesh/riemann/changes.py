@@ -12,6 +12,7 @@ from equimesh.optimise.topology import (
     new_vertex,
     note_triangle,
     note_vertex,
+    redirect,
     star,
 )
 from equimesh.riemann.energy import set_energy
@@ -23,17 +24,6 @@ __all__ = ["collapse", "split"]
 def _become(m, t, a, b, c, n0, n1, n2):
     m.tv[t, 0], m.tv[t, 1], m.tv[t, 2] = a, b, c
     m.tn[t, 0], m.tn[t, 1], m.tn[t, 2] = n0, n1, n2
-
-
-@compiled
-def _redirect(m, u, old, new, start):
-    """Make u, whose edge that ends at ``start`` looked at ``old``, look at ``new``."""
-    if u >= 0:
-        note_triangle(m, u)
-        for j in range(3):
-            if m.tn[u, j] == old and m.tv[u, (j + 1) % 3] == start:
-                m.tn[u, j] = new
-                return
 
 
 @compiled
@@ -71,8 +61,8 @@ def split(P, m, t, k):
     _become(m, t1, b, c, v, bc, t, u)
     _become(m, u, d, b, v, db, t1, u1)
     _become(m, u1, a, d, v, ad, u, t)
-    _redirect(m, bc, t, t1, b)
-    _redirect(m, ad, u, u1, a)
+    redirect(m, bc, t, t1, b)
+    redirect(m, ad, u, u1, a)
     _hold(m, a, t)
     _hold(m, b, t1)
     _hold(m, c, t)
@@ -119,8 +109,8 @@ def collapse(P, m, v, w):
     first, last = m.ring[1, (k + 1) % n], m.ring[1, (k - 2) % n]
     m.tn[first, m.ring[2, (k + 1) % n]] = beyond
     m.tn[last, (m.ring[2, (k - 2) % n] + 2) % 3] = beyond_other
-    _redirect(m, beyond, lost, first, w)
-    _redirect(m, beyond_other, other, last, left)
+    redirect(m, beyond, lost, first, w)
+    redirect(m, beyond_other, other, last, left)
     _hold(m, w, first)
     _hold(m, right, first)
     _hold(m, left, last)

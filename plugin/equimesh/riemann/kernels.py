@@ -5,27 +5,9 @@ from __future__ import annotations
 import math
 
 from equimesh.fields.compiled import compiled, inlined
+from equimesh.fields.patch_kernels import locate
 
 __all__ = ["christoffel", "geodesic", "metric_at", "orthonormal", "unit_frame"]
-
-
-@inlined
-def _locate(frame, child, x, y):
-    """Leaf that holds (x, y), its local coordinates s, t and the half width of its cell."""
-    side = frame[2]
-    u = min(max((x - frame[0]) / side, 0.0), 1.0)
-    v = min(max((y - frame[1]) / side, 0.0), 1.0)
-    node = 0
-    while True:
-        right = 1 if u >= 0.5 else 0
-        top = 1 if v >= 0.5 else 0
-        below = child[node, right + 2 * top]
-        u = 2.0 * u - right
-        v = 2.0 * v - top
-        side *= 0.5
-        if below < 0:
-            return -below - 1, 2.0 * u - 1.0, 2.0 * v - 1.0, 0.5 * side
-        node = below
 
 
 @inlined
@@ -42,7 +24,7 @@ def _polynomial(c, s, t):
 @compiled
 def metric_at(P, x, y):
     """M at a point: xx, xy, yy."""
-    leaf, s, t, _ = _locate(P.frame, P.child, x, y)
+    leaf, s, t, _ = locate(P.frame, P.child, x, y)
     l11 = _polynomial(P.coef[leaf, 0], s, t)
     l12 = _polynomial(P.coef[leaf, 1], s, t)
     l22 = _polynomial(P.coef[leaf, 2], s, t)
@@ -57,7 +39,7 @@ def metric_at(P, x, y):
 @compiled
 def _slopes(P, x, y):
     """Log M (three numbers) and its derivatives by x and by y."""
-    leaf, s, t, half = _locate(P.frame, P.child, x, y)
+    leaf, s, t, half = locate(P.frame, P.child, x, y)
     r = 1.0 / half
     out = (0.0, 0.0, 0.0)
     dx = (0.0, 0.0, 0.0)

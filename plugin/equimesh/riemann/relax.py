@@ -14,7 +14,7 @@ from equimesh.optimise.mesh import (
     TRIANGLES,
     VERTICES,
 )
-from equimesh.optimise.relax import clear, push
+from equimesh.optimise.relax import clear, push, take
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 from equimesh.riemann.changes import collapse, split
 from equimesh.riemann.energy import edge_length, move, set_energy, try_flip
@@ -57,23 +57,11 @@ def _flip_around(P, m, v):
 @compiled
 def relax(P, m, q, budget, per_vertex, idle):
     """Work the queue off: flips and moves; a gain above ``idle`` wakes the neighbours."""
-    size = q.items.shape[0]
     done = 0
-    while q.state[1] > 0 and done < budget:
-        v = q.items[q.state[0]]
-        q.state[0] = (q.state[0] + 1) % size
-        q.state[1] -= 1
-        q.waiting[v] = 0
-        if m.kind[v] == GONE:
-            continue
-        if q.stamp[v] != q.state[2]:
-            q.stamp[v] = q.state[2]
-            q.visits[v] = 0
-        if q.visits[v] >= per_vertex:
-            continue
-        if m.count[RECORDING] == 1 and not room_left(m):
+    while done < budget:
+        v = take(m, q, per_vertex)
+        if v < 0 or (m.count[RECORDING] == 1 and not room_left(m)):
             break
-        q.visits[v] += 1
         done += 1
         flipped = _flip_around(P, m, v)
         gain = move(P, m, v)
@@ -189,21 +177,11 @@ def improve(P, m, q, todo, low, high, goal):
     for v in range(m.count[VERTICES]):
         if m.kind[v] != GONE:
             push(todo, v)
-    size = todo.items.shape[0]
     kept = 0
-    while todo.state[1] > 0:
-        v = todo.items[todo.state[0]]
-        todo.state[0] = (todo.state[0] + 1) % size
-        todo.state[1] -= 1
-        todo.waiting[v] = 0
-        if m.kind[v] == GONE:
-            continue
-        if todo.stamp[v] != todo.state[2]:
-            todo.stamp[v] = todo.state[2]
-            todo.visits[v] = 0
-        if todo.visits[v] >= _TRIES:
-            continue
-        todo.visits[v] += 1
+    while True:
+        v = take(m, todo, _TRIES)
+        if v < 0:
+            return kept
         excess = triangles_of(m) / goal - 1.0
         price = 0.0
         if abs(excess) > _CLOSE:
@@ -213,4 +191,3 @@ def improve(P, m, q, todo, low, high, goal):
         if _attempts(P, m, q, todo, v, shorter, longer, price):
             kept += 1
             push(todo, v)
-    return kept
