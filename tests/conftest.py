@@ -16,6 +16,10 @@ settings.register_profile(
 settings.load_profile("equimesh")
 
 
+# MeshLab's function filters now and then read what is not theirs (a segmentation fault inside
+# libfilter_func): they are tested in a process of their own, by test_pymeshlab_alone.py.
+collect_ignore = [] if os.environ.get("EQUIMESH_ALONE") else ["test_pymeshlab_adapter.py"]
+
 VERDICT = pytest.StashKey[int]()
 
 
