@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.optimise.anneal import anneal
 from equimesh.optimise.energy import evaluate_all
+from equimesh.optimise.focus import exchange_round, make_search
 from equimesh.optimise.greedy import refine
 from equimesh.optimise.mesh import (
     EVEN,
@@ -47,7 +48,11 @@ Report = Callable[[float], None]
 _WORTH = 1.5
 _EXCHANGES = 4  # rounds of annealing
 # Rounds of removal and visits on data, which have no Taylor's formula.
-_ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (20, 600)}
+_ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
+# Removals tried by focused search at ``best``: in all, and rounds at least and at most. It stops
+# when so many rounds in a row have each taken out less than this share of the vertices.
+_TRIALS, _FEWEST_ROUNDS, _MOST_ROUNDS = 400_000, 8, 100
+_IDLE_ROUNDS, _IDLE = 5, 5e-4
 
 
 @dataclass(frozen=True)
@@ -147,7 +152,11 @@ def optimise(
     report(0.5)
     good = bool(violations(mesh, 1.0)[0] == 0)
     if good:
-        _remove(field, mesh, tol, rounds, visits, lambda f: report(0.5 + 0.5 * f))
+        searched = effort == "best" and field.kind != PATCHES
+        share = 0.1 if searched else 0.5
+        _remove(field, mesh, tol, rounds, visits, lambda f: report(0.5 + share * f))
+        if searched:
+            _exchange(field, mesh, tol, lambda f: report(0.6 + 0.4 * f))
     return mesh, good
 
 
@@ -247,3 +256,22 @@ def _remove(
             mesh.count[MANNER] = EVEN
             relax_everything(field, mesh, tol, queue, 3)
             mesh.count[MANNER] = SETTLE
+
+
+def _exchange(field: KernelField, mesh: Mesh, tol: float, report: Report) -> None:
+    """Rounds of focused search over all vertices, in random order."""
+    search, order = make_search(mesh), np.random.default_rng(0)
+    candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
+    rounds = int(np.clip(_TRIALS // max(len(candidates), 1), _FEWEST_ROUNDS, _MOST_ROUNDS))
+    idle = 0
+    for number in range(rounds):
+        candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
+        order.shuffle(candidates)
+        removed = 0
+        for first in range(0, len(candidates), 500):
+            part = candidates[first : first + 500]
+            removed += exchange_round(field, mesh, tol, search, part)[0]
+            report((number + (first + len(part)) / len(candidates)) / rounds)
+        idle = idle + 1 if removed <= _IDLE * len(candidates) else 0
+        if idle == _IDLE_ROUNDS:
+            break
