@@ -51,8 +51,8 @@ _EXCHANGES = 4  # rounds of annealing
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
 # Removals tried by focused search at ``best``: in all, and rounds at least and at most. It stops
 # when so many rounds in a row have each taken out less than this share of the vertices.
-_TRIALS, _FEWEST_ROUNDS, _MOST_ROUNDS = 400_000, 8, 100
-_IDLE_ROUNDS, _IDLE = 5, 5e-4
+_TRIALS, _FEWEST_ROUNDS, _MOST_ROUNDS = 250_000, 8, 100
+_IDLE_ROUNDS, _IDLE = 5, 2e-4
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,8 @@ __all__ = ["Search", "exchange_round", "make_search"]
 # most: one bad triangle is better than two slight ones, and a hopeless one no worse than a bad one.
 _STEP = 0.3
 _MOST = 3.0
-_TEMPERATURE = 0.05
-_GOAL = 5.0  # of a removal: what costs more is hardly ever repaired
+_TEMPERATURE = 0.07
+_GOAL = 100.0  # of a removal: what costs more is not worth a search
 _TRIES = 300  # changes tried after a removal, and again after an insertion
 _HOPELESS = 10  # violated triangles that no insertion is tried for
 # Shares of what is tried: flips, moves to the largest error, moves up or down.
