@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import shapely
 
+from equimesh.angles import AngleFloor, checked_angle
 from equimesh.constraints import with_constraints
 from equimesh.domain import DomainLike, domain_geometry, sides_of
 from equimesh.drafts import best_draft
@@ -46,6 +47,7 @@ def remesh(
     progress: Progress | None = None,
     constraints: Any = (),
     bound: Bound | None = None,
+    min_angle: float | None = None,
 ) -> Result:
     """The mesh with few triangles that represents a surface to within a tolerance.
 
@@ -114,7 +116,7 @@ def remesh(
 
         return remesh_to_target(
             source, most, domain, tol, fit=fit, effort=effort, seed=seed, progress=progress,
-            bound=bound, constraints=constraints,
+            bound=bound, constraints=constraints, min_angle=min_angle,
         )  # fmt: skip
     assert tol is not None
     stages = Stages(progress)
@@ -133,6 +135,10 @@ def remesh(
         frame = surface.frame(covered)
     with stages.stage("seed"):
         sides = with_constraints(sides_of(covered), constraints, covered, frame)
+        floor = None
+        if min_angle is not None:
+            floor = AngleFloor.of(checked_angle(min_angle), sides)
+            kernel = floor.kept_by(kernel, frame)
         start = best_draft(meshed, kernel, sides, frame, height / unit, effort, fit == "best")
     with stages.stage("optimise") as report:
         mesh, good = optimise(kernel, start.mesh, start.aim, effort, report)

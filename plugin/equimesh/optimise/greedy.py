@@ -10,6 +10,8 @@ import math
 
 from equimesh.fields.compiled import compiled
 from equimesh.fields.kernel import RASTER
+from equimesh.optimise.angles import by_angle
+from equimesh.optimise.centres import split_for_angle
 from equimesh.optimise.energy import edge_of, set_edge, set_inner, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import FREE_TRIANGLES
@@ -54,8 +56,11 @@ def _pop(heap, key, size):
 
 
 @compiled
-def _not_delaunay(m, t, k):
-    """Whether the vertex beyond edge k lies well inside the circumcircle of t."""
+def _not_delaunay(F, m, t, k):
+    """Whether the vertex beyond edge k lies well inside the circumcircle of t.
+
+    The circle is one in the user's coordinates where angles have a floor, else in local ones.
+    """
     u = m.tn[t, k]
     if u < 0 or m.wall[t, k] == 1:
         return False
@@ -67,6 +72,10 @@ def _not_delaunay(m, t, k):
     ax, ay = m.x[a] - m.x[d], m.y[a] - m.y[d]
     bx, by = m.x[b] - m.x[d], m.y[b] - m.y[d]
     cx, cy = m.x[c] - m.x[d], m.y[c] - m.y[d]
+    if F.shape.shape[0] > 0:
+        ax, ay = F.shape[1] * ax + F.shape[2] * ay, F.shape[3] * ay
+        bx, by = F.shape[1] * bx + F.shape[2] * by, F.shape[3] * by
+        cx, cy = F.shape[1] * cx + F.shape[2] * cy, F.shape[3] * cy
     a2, b2, c2 = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
     p = ax * (by * c2 - cy * b2)
     q = ay * (bx * c2 - cx * b2)
@@ -87,14 +96,21 @@ def _restore_delaunay(F, m, tol, v):
         n, _ = star(m, v)
         for i in range(n):
             t, k = m.ring[1, i], (m.ring[2, i] + 1) % 3
-            if _not_delaunay(m, t, k):
-                u = flip(m, t, k)
-                e, s = edge_of(F, m, tol, m.tv[t, 2], m.tv[t, 0])
-                set_edge(m, t, 2, e, s)
-                set_inner(F, m, tol, t)
-                set_inner(F, m, tol, u)
+            if _not_delaunay(F, m, t, k):
+                _flipped(F, m, tol, t, k)
                 changed = True
                 break
+
+
+@compiled
+def _flipped(F, m, tol, t, k):
+    """Flip edge k of t; returns the other triangle."""
+    u = flip(m, t, k)
+    e, s = edge_of(F, m, tol, m.tv[t, 2], m.tv[t, 0])
+    set_edge(m, t, 2, e, s)
+    set_inner(F, m, tol, t)
+    set_inner(F, m, tol, u)
+    return u
 
 
 @compiled
@@ -178,6 +194,8 @@ def _split_worst(F, m, tol, t):
     for i in range(3):
         if abs(m.ee[t, i]) > worst:
             k, worst = i, abs(m.ee[t, i])
+    if k < 0 and by_angle(F, m, t):
+        return split_for_angle(F, m, tol, t)
     if k < 0:
         return _split_at(F, m, tol, t, m.ix[t], m.iy[t])
     s = m.ep[t, k]
@@ -219,6 +237,16 @@ def refine(F, m, tol, heap, key, most):
             return True
         if m.count[0] + 16 > m.tv.shape[0] or m.count[1] + 4 > m.x.shape[0]:
             return False
+        if by_angle(F, m, t):  # Ruppert's circles are those of a Delaunay triangulation
+            u = -1
+            for k in range(3):
+                if u < 0 and _not_delaunay(F, m, t, k):
+                    u = _flipped(F, m, tol, t, k)
+            if u >= 0:
+                for s in (t, u):
+                    if worst_of(m, s) > 1.0 and size < heap.shape[0]:
+                        size = _push(heap, key, size, s, worst_of(m, s))
+                continue
         v = _split_worst(F, m, tol, t)
         if v < 0:
             continue

@@ -1,0 +1,91 @@
+"""Insertion of vertices where an angle stays below its floor, after Ruppert."""
+
+from __future__ import annotations
+
+import math
+
+from equimesh.fields.compiled import compiled
+from equimesh.optimise.insertion import split_edge, split_inside
+from equimesh.optimise.mesh import FIXED
+
+__all__ = ["circumcentre", "split_for_angle"]
+
+
+@compiled
+def circumcentre(F, m, t):
+    """Centre of t's circumcircle, a circle in the user's coordinates."""
+    p, q, r = F.shape[1], F.shape[2], F.shape[3]
+    a, b, c = m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]
+    ux, uy = p * (m.x[b] - m.x[a]) + q * (m.y[b] - m.y[a]), r * (m.y[b] - m.y[a])
+    vx, vy = p * (m.x[c] - m.x[a]) + q * (m.y[c] - m.y[a]), r * (m.y[c] - m.y[a])
+    d = 2.0 * (ux * vy - uy * vx)
+    u2, v2 = ux * ux + uy * uy, vx * vx + vy * vy
+    x, y = (vy * u2 - uy * v2) / d, (ux * v2 - vx * u2) / d
+    y /= r
+    return m.x[a] + (x - q * y) / p, m.y[a] + y
+
+
+@compiled
+def _length(F, dx, dy):
+    return math.hypot(F.shape[1] * dx + F.shape[2] * dy, F.shape[3] * dy)
+
+
+@compiled
+def _split_stiff(F, m, tol, t, k):
+    """Split a border edge or a wall in the middle; beside a corner at a power of two from it.
+
+    Sides that meet in a corner then have vertices at the same distances from it, and do not go on
+    splitting each other (J. Ruppert, "A Delaunay refinement algorithm", 1995, sec. 6).
+    """
+    a, b = m.tv[t, k], m.tv[t, (k + 1) % 3]
+    s = 0.5
+    if (m.kind[a] == FIXED) != (m.kind[b] == FIXED):
+        length = _length(F, m.x[b] - m.x[a], m.y[b] - m.y[a])
+        s = 2.0 ** math.floor(math.log2(0.5 * length) + 0.5) / length
+        if m.kind[b] == FIXED:
+            s = 1.0 - s
+    v = split_edge(F, m, tol, t, k, s)
+    return v if v >= 0 else split_edge(F, m, tol, t, k, 0.5)
+
+
+@compiled
+def split_for_angle(F, m, tol, t):
+    """A vertex at the centre of t's circumcircle, after Ruppert; returns it, or -1.
+
+    Where a border or a wall lies before it, or has it in its circle, that is split instead.
+    """
+    x, y = circumcentre(F, m, t)
+    if not (math.isfinite(x) and math.isfinite(y)):
+        return -1
+    for _ in range(200):
+        beyond, worst = -1, 0.0
+        for k in range(3):
+            a, b = m.tv[t, k], m.tv[t, (k + 1) % 3]
+            dx, dy = m.x[b] - m.x[a], m.y[b] - m.y[a]
+            turn = (dx * (y - m.y[a]) - dy * (x - m.x[a])) / math.hypot(dx, dy)
+            if turn < worst:
+                beyond, worst = k, turn
+        if beyond < 0:
+            break
+        if m.tn[t, beyond] < 0 or m.wall[t, beyond] == 1:
+            return _split_stiff(F, m, tol, t, beyond)
+        t = m.tn[t, beyond]
+    p, q, r = F.shape[1], F.shape[2], F.shape[3]
+    near, k, share = math.inf, -1, 0.5
+    for i in range(3):
+        a, b = m.tv[t, i], m.tv[t, (i + 1) % 3]
+        ax, ay = p * (m.x[a] - x) + q * (m.y[a] - y), r * (m.y[a] - y)
+        bx, by = p * (m.x[b] - x) + q * (m.y[b] - y), r * (m.y[b] - y)
+        if (m.tn[t, i] < 0 or m.wall[t, i] == 1) and ax * bx + ay * by < 0.0:
+            return _split_stiff(F, m, tol, t, i)
+        dx, dy = bx - ax, by - ay
+        length = math.hypot(dx, dy)
+        distance = abs(ax * by - ay * bx) / (length * length)
+        if distance < near:
+            near, k = distance, i
+            share = min(max(-(ax * dx + ay * dy) / (length * length), 0.2), 0.8)
+    if near > 0.05:
+        v = split_inside(F, m, tol, t, x, y)
+        if v >= 0:
+            return v
+    return split_edge(F, m, tol, t, k, share)
