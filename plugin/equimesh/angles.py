@@ -8,20 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from equimesh.angle_price import price_of_floor
 from equimesh.domain import Sides
 from equimesh.errors import InputError
 from equimesh.fields.kernel import KernelField
 from equimesh.frame import Frame
+from equimesh.optimise.mesh import Mesh
+from equimesh.profile import Profile
 
-__all__ = ["AngleFloor"]
+__all__ = ["AngleFloor", "checked_angle"]
 
 Array = NDArray[np.float64]
 
 MOST = 30.0  # degrees
 _ABOVE = 1e-6  # what the optimiser keeps above the floor, as a share of it
 _CORNER = 0.999  # of a sharp corner's own angle
-# Triangles equilateral up to a stretch by ``ratio`` have an angle of 2 atan(1 / (ratio sqrt 3)) at
-# least; the lattice leaves them this much above the floor.
+# Equilateral triangles stretched by a ratio along one side keep angles of atan(sqrt 3 / ratio) on
+# it; the lattice leaves these so much above the floor.
 _ROOM = 1.15
 
 
@@ -49,7 +52,7 @@ class AngleFloor:
         floor = math.radians(self.angle) * (1.0 + _ABOVE)
         sines = np.sin(np.radians(self.angles * _CORNER))
         sharp = np.column_stack([frame.to_local(self.corners), sines])
-        ratio = 1.0 / (math.sqrt(3.0) * math.tan(0.5 * min(_ROOM * floor, math.pi / 3.0)))
+        ratio = math.sqrt(3.0) / math.tan(_ROOM * floor)
         return kernel.angled(math.sin(floor), frame.matrix, sharp, ratio)
 
     def missed(self, points: Array, triangles: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -68,6 +71,21 @@ class AngleFloor:
             cross, dot = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0], (u * v).sum(1)
             below |= np.degrees(np.arctan2(cross, dot)) < floor[triangles[:, k]]
         return np.flatnonzero(below)
+
+    def note(self, profile: Profile, least: float, kernel: KernelField, mesh: Mesh) -> str:
+        """The smallest angle that there is, and the price of the floor where theory tells it.
+
+        ``least``: N* without the floor, nan where it means nothing.
+        """
+        said = f"min_angle={self.angle:g}: the smallest angle is {profile.angles.min():.2f} degrees"
+        if not least > 0.0:
+            return said
+        live = mesh.tv[mesh.tv[:, 0] >= 0]
+        price = price_of_floor(kernel, np.stack([mesh.x, mesh.y], 1), live, self.angle)
+        return (
+            f"{said}; it raises the fewest triangles from {least:,.0f} to {price * least:,.0f}, "
+            f"and there are {len(profile.triangles):,}"
+        )
 
 
 def checked_angle(angle: object) -> float:

@@ -122,6 +122,10 @@ def remesh(
     fit: Annotated[
         Fit, typer.Option(help="best: vertices may leave the surface, within the tolerance.")
     ] = Fit.interpolate,
+    min_angle: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="No smaller angles than this, at most 30 degrees."),
+    ] = None,
     effort: Annotated[Effort, typer.Option(help="Time against triangles.")] = Effort.balanced,
     up: UpOption = None,
     band: BandOption = None,
@@ -154,7 +158,7 @@ def remesh(
                 field, tol, region, target=target, max_triangles=most, fit=fit.value,
                 effort=effort.value, seed=seed, progress=progress,
                 bound=None if bound is None else bound.value,
-                constraints=() if breaklines is None else breaklines,
+                constraints=() if breaklines is None else breaklines, min_angle=min_angle,
             )  # fmt: skip
         if not result.status.usable:
             raise InputError(result.status.value)

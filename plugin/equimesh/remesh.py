@@ -85,6 +85,11 @@ def remesh(
         For rasters: ``"surface"``, the error counts everywhere on the bilinear surface (so it does
         if nothing is said), or ``"samples"``, at the samples only.
 
+    min_angle
+        Degrees, at most 30: no angle of a triangle, seen from above, is smaller, except at vertices
+        where sides of the domain or constraints meet at a smaller one. A note tells the price in
+        triangles.
+
     Returns
     -------
     Result
@@ -105,11 +110,14 @@ def remesh(
 
         if max_triangles is not None:
             raise InputError("A metric takes no max_triangles=: give target=, or tol= alone.")
+        if min_angle is not None:
+            raise InputError("A metric takes no min_angle=: its triangles are equilateral in it.")
         return remesh_metric(
             source, tol, domain, target=target, fit=fit, effort=effort, seed=seed,
             progress=progress, constraints=constraints,
         )  # fmt: skip
     _check_options(tol, target, max_triangles, fit, effort, seed)
+    angle = None if min_angle is None else checked_angle(min_angle)
     most = max_triangles if target is None else target
     if most is not None:
         from equimesh.target import remesh_to_target
@@ -135,9 +143,8 @@ def remesh(
         frame = surface.frame(covered)
     with stages.stage("seed"):
         sides = with_constraints(sides_of(covered), constraints, covered, frame)
-        floor = None
-        if min_angle is not None:
-            floor = AngleFloor.of(checked_angle(min_angle), sides)
+        floor = None if angle is None else AngleFloor.of(angle, sides)
+        if floor is not None:
             kernel = floor.kept_by(kernel, frame)
         start = best_draft(meshed, kernel, sides, frame, height / unit, effort, fit == "best")
     with stages.stage("optimise") as report:
@@ -159,6 +166,12 @@ def remesh(
     least = math.nan
     if surface.smooth:
         least = _lower_bound(surface, kernel, mesh, height)
+    status = Status.CONVERGED if profile.bound <= height else Status.NOT_CONVERGED
+    notes = (*getattr(surface, "notes", ()), *sides.lines.notes)
+    if floor is not None:
+        if status.ok and len(floor.missed(points, triangles)):
+            status = Status.SHARP
+        notes = (*notes, floor.note(profile, least, kernel, mesh))
     return Result(
         points=points,
         triangles=triangles,
@@ -166,11 +179,11 @@ def remesh(
         profile=profile,
         tol=height,
         lower_bound=least,
-        status=Status.CONVERGED if profile.bound <= height else Status.NOT_CONVERGED,
+        status=status,
         seed=seed,
         input_size=surface.size,
         timings=stages.seconds,
-        notes=(*getattr(surface, "notes", ()), *sides.lines.notes),
+        notes=notes,
         metadata=dict(getattr(surface, "metadata", {})),
         constraints=tagged_constraints(mesh, start),
     )

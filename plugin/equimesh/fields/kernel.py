@@ -24,7 +24,8 @@ class KernelField(NamedTuple):
 
     kind: int
     # Scalars of the kind: origin and size of its index; for PATCHES also the share of the tolerance
-    # that a vertex may take up where f is convex or concave, plus one (``two_sided``).
+    # that a vertex may take up where f is convex or concave, plus one (``two_sided``), and, where
+    # angles have a floor, the largest ratio of the lattice's eigenvalues (``angled``).
     frame: NDArray[np.float64] = np.empty(0)
     grid: NDArray[np.float64] = np.empty((0, 0))  # RASTER: heights [row, column]
     child: NDArray[np.int32] = np.empty((0, 4), np.int32)  # PATCHES: quadtree
@@ -57,8 +58,8 @@ class KernelField(NamedTuple):
         """The same field for meshes whose angles have a floor.
 
         ``sine``: of the floor; ``matrix`` (2, 2): local to the user's coordinates; ``sharp``
-        (k, 3): corners in local coordinates and the sine of the floor there; ``ratio``: of the
-        lattice's lengths across and along, at most.
+        (k, 3): corners in local coordinates and the sine of the floor there; ``ratio``: by which
+        the lattice's triangles are stretched, at most.
         """
         turned = np.linalg.qr(matrix, mode="r")
         turned *= np.sign(np.diag(turned))[:, None]

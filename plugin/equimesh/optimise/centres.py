@@ -8,7 +8,7 @@ from equimesh.fields.compiled import compiled
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import FIXED
 
-__all__ = ["circumcentre", "split_for_angle"]
+__all__ = ["beyond", "circumcentre", "split_for_angle"]
 
 
 @compiled
@@ -49,6 +49,19 @@ def _split_stiff(F, m, tol, t, k):
 
 
 @compiled
+def beyond(m, t, x, y):
+    """The edge of t that (x, y) lies farthest beyond; -1 where it lies in t."""
+    found, worst = -1, 0.0
+    for k in range(3):
+        a, b = m.tv[t, k], m.tv[t, (k + 1) % 3]
+        dx, dy = m.x[b] - m.x[a], m.y[b] - m.y[a]
+        turn = (dx * (y - m.y[a]) - dy * (x - m.x[a])) / math.hypot(dx, dy)
+        if turn < worst:
+            found, worst = k, turn
+    return found
+
+
+@compiled
 def split_for_angle(F, m, tol, t):
     """A vertex at the centre of t's circumcircle, after Ruppert; returns it, or -1.
 
@@ -58,18 +71,12 @@ def split_for_angle(F, m, tol, t):
     if not (math.isfinite(x) and math.isfinite(y)):
         return -1
     for _ in range(200):
-        beyond, worst = -1, 0.0
-        for k in range(3):
-            a, b = m.tv[t, k], m.tv[t, (k + 1) % 3]
-            dx, dy = m.x[b] - m.x[a], m.y[b] - m.y[a]
-            turn = (dx * (y - m.y[a]) - dy * (x - m.x[a])) / math.hypot(dx, dy)
-            if turn < worst:
-                beyond, worst = k, turn
-        if beyond < 0:
+        k = beyond(m, t, x, y)
+        if k < 0:
             break
-        if m.tn[t, beyond] < 0 or m.wall[t, beyond] == 1:
-            return _split_stiff(F, m, tol, t, beyond)
-        t = m.tn[t, beyond]
+        if m.tn[t, k] < 0 or m.wall[t, k] == 1:
+            return _split_stiff(F, m, tol, t, k)
+        t = m.tn[t, k]
     p, q, r = F.shape[1], F.shape[2], F.shape[3]
     near, k, share = math.inf, -1, 0.5
     for i in range(3):

@@ -11,7 +11,7 @@ import math
 from equimesh.fields.compiled import compiled
 from equimesh.fields.kernel import RASTER
 from equimesh.optimise.angles import by_angle
-from equimesh.optimise.centres import split_for_angle
+from equimesh.optimise.centres import beyond, circumcentre, split_for_angle
 from equimesh.optimise.energy import edge_of, set_edge, set_inner, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import FREE_TRIANGLES
@@ -111,6 +111,26 @@ def _flipped(F, m, tol, t, k):
     set_inner(F, m, tol, t)
     set_inner(F, m, tol, u)
     return u
+
+
+@compiled
+def _flipped_before(F, m, tol, t):
+    """Flip an edge that is not Delaunay on the way from t to the centre of its circumcircle.
+
+    Only in a Delaunay triangulation are such circles empty, and their centres far from all
+    vertices. Returns the two triangles, (-1, -1) where there is none to flip.
+    """
+    x, y = circumcentre(F, m, t)
+    s = t
+    for _ in range(200):
+        for k in range(3):
+            if _not_delaunay(F, m, s, k):
+                return s, _flipped(F, m, tol, s, k)
+        k = beyond(m, s, x, y)
+        if k < 0 or m.tn[s, k] < 0 or m.wall[s, k] == 1:
+            break
+        s = m.tn[s, k]
+    return -1, -1
 
 
 @compiled
@@ -237,15 +257,12 @@ def refine(F, m, tol, heap, key, most):
             return True
         if m.count[0] + 16 > m.tv.shape[0] or m.count[1] + 4 > m.x.shape[0]:
             return False
-        if by_angle(F, m, t):  # Ruppert's circles are those of a Delaunay triangulation
-            u = -1
-            for k in range(3):
-                if u < 0 and _not_delaunay(F, m, t, k):
-                    u = _flipped(F, m, tol, t, k)
-            if u >= 0:
-                for s in (t, u):
-                    if worst_of(m, s) > 1.0 and size < heap.shape[0]:
-                        size = _push(heap, key, size, s, worst_of(m, s))
+        if by_angle(F, m, t):
+            s, u = _flipped_before(F, m, tol, t)
+            if s >= 0:
+                for r in (s, u, t):
+                    if worst_of(m, r) > 1.0 and size < heap.shape[0]:
+                        size = _push(heap, key, size, r, worst_of(m, r))
                 continue
         v = _split_worst(F, m, tol, t)
         if v < 0:
