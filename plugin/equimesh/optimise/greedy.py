@@ -19,6 +19,7 @@ from equimesh.optimise.topology import ample, flip, star
 
 __all__ = ["refine"]
 
+_STEPS = 200  # triangles on the way to the centre of a circumcircle
 _WIDE = -0.87  # the cosine of the angle above a wall, 150 degrees
 
 
@@ -122,7 +123,7 @@ def _flipped_before(F, m, tol, t):
     """
     x, y = circumcentre(F, m, t)
     s = t
-    for _ in range(200):
+    for _ in range(_STEPS):
         for k in range(3):
             if _not_delaunay(F, m, s, k):
                 return s, _flipped(F, m, tol, s, k)
