@@ -30,6 +30,7 @@ __all__ = ["Effort", "Fit", "Progress", "remesh"]
 Progress: TypeAlias = Callable[[str, float], Any]
 Fit: TypeAlias = Literal["interpolate", "best"]
 Effort: TypeAlias = Literal["fast", "balanced", "best"]
+Norm: TypeAlias = Literal["max", "L1", "L2", "gradient"]
 
 _REPAIRS = 8
 
@@ -48,6 +49,7 @@ def remesh(
     constraints: Any = (),
     bound: Bound | None = None,
     min_angle: float | None = None,
+    norm: Norm = "max",
 ) -> Result:
     """The mesh with few triangles that represents a surface to within a tolerance.
 
@@ -89,6 +91,11 @@ def remesh(
         Degrees, at most 30: no angle of a triangle, seen from above, is smaller, except at vertices
         where sides of the domain or constraints meet at a smaller one. A note tells the price in
         triangles.
+    norm
+        What ``tol`` bounds: ``"max"``, the largest error; of functions also ``"L1"``, the integral
+        of |f - f_h|; ``"L2"``, the root of the integral of its square; ``"gradient"``, the largest
+        Euclidean length of the gradient of f - f_h. Then ``profile`` is a ``NormProfile`` and
+        ``lower_bound`` that norm's.
 
     Returns
     -------
@@ -112,9 +119,19 @@ def remesh(
             raise InputError("A metric takes no max_triangles=: give target=, or tol= alone.")
         if min_angle is not None:
             raise InputError("A metric takes no min_angle=: its triangles are equilateral in it.")
+        if norm != "max":
+            raise InputError("A metric takes no norm=: it has no error to measure.")
         return remesh_metric(
             source, tol, domain, target=target, fit=fit, effort=effort, seed=seed,
             progress=progress, constraints=constraints,
+        )  # fmt: skip
+    if norm != "max":
+        from equimesh.norms import remesh_norm
+
+        return remesh_norm(
+            source, tol, domain, norm, effort=effort, seed=seed, progress=progress, target=target,
+            max_triangles=max_triangles, fit=None if fit == "interpolate" else fit,
+            constraints=constraints, bound=bound, min_angle=min_angle,
         )  # fmt: skip
     _check_options(tol, target, max_triangles, fit, effort, seed)
     angle = None if min_angle is None else checked_angle(min_angle)
