@@ -15,9 +15,10 @@ from equimesh.domain import DomainLike, domain_geometry
 from equimesh.errors import InputError
 from equimesh.fields import Source, as_field
 from equimesh.fields.base import Field
-from equimesh.norms.densities import POWERS, constants, least_triangles
+from equimesh.norms.densities import POWERS, constants, least_triangles, patch_hessian
 from equimesh.norms.measure import norm_profile
 from equimesh.result import Result, Status
+from equimesh.riemann.error_metric import limited_tensors
 from equimesh.riemann.metric import Metric
 from equimesh.riemann.remesh import remesh_metric
 from equimesh.target import first_tolerance
@@ -29,6 +30,7 @@ Array = NDArray[np.float64]
 NORMS = ("max", "L1", "L2", "gradient")
 _RUNS = 8
 _CLOSE, _AIM = 0.97, 0.985  # of the tolerance: near enough, and what a run aims at
+_BLEND = 0.1  # of the limited determinant: where det H is as small, its sign counts half
 _FEWEST = 8.0  # triangles of a first run
 _FACTOR = 8.0  # from one run's triangles to the next one's, at most
 
@@ -129,40 +131,33 @@ def norm_metric(surface: Field, geometry: shapely.Geometry, norm: str, count: fl
     does not tell: equilateral ones in |H| have the area ``3 sqrt(3) / 4 tol^2 sqrt(r) / det`` at
     least however they lie, r = |l2 / l1|, and no other diagonal metric does much better.
     """
-    limited = Metric.of(surface, first_tolerance(surface, geometry, int(count)), geometry)
-    corners = shapely.get_coordinates(geometry)
-    reference = math.sqrt(abs(float(np.linalg.det(limited(*corners[:1].T))[0])))
+    tol = first_tolerance(surface, geometry, int(count))
+    kernel, frame = surface.kernel(geometry, tol), surface.frame(geometry)
+    hessian = patch_hessian(surface, geometry, tol)
+    inverse = np.linalg.inv(frame.matrix)
+    extent = float(np.ptp(frame.to_local(np.reshape(geometry.bounds, (2, 2))), axis=0).max())
 
     def tensor(x: Array, y: Array) -> Array:
-        m = limited(x, y)
+        local = np.ascontiguousarray(frame.to_local(np.stack([x, y], 1)))
+        m = limited_tensors(
+            kernel.frame, kernel.child, kernel.coef, local, 8.0 * tol, 1.0 / extent**2
+        )
         det = m[:, 0, 0] * m[:, 1, 1] - m[:, 0, 1] ** 2
         root = np.sqrt(det)
         if norm in POWERS:
             p = POWERS[norm]
-            h = surface.hessian(x, y)
-            true = h[:, 0, 0] * h[:, 1, 1] - h[:, 0, 1] ** 2
+            h = hessian(x, y)
+            true = (h[:, 0, 0] * h[:, 1, 1] - h[:, 0, 1] ** 2) * frame.determinant**2
             # -1 or 1 where the limits have no say, and smooth in between.
-            definite = np.clip(true / (det * scale), -1.0, 1.0)
-            density = (constants(norm, definite) * root / reference) ** (p / (p + 1.0))
+            definite = true / (np.abs(true) + _BLEND * (6.0 * tol) ** 2 * det)
+            density = (constants(norm, definite) * root) ** (p / (p + 1.0))
         else:
             mean = 0.5 * (m[:, 0, 0] + m[:, 1, 1])
             radius = np.hypot(0.5 * (m[:, 0, 0] - m[:, 1, 1]), m[:, 0, 1])
-            large = mean + radius
-            density = (root / reference) * large / reference  # = det / sqrt(r)
-        return np.asarray((density / root)[:, None, None] * m)
+            density = root * (mean + radius)  # det / sqrt(r)
+        return np.asarray(inverse.T @ ((density / root)[:, None, None] * m) @ inverse)
 
-    scale = _scale(surface, limited, geometry)
     return Metric(tensor)
-
-
-def _scale(surface: Field, limited: Metric, geometry: shapely.Geometry) -> float:
-    """det H over the determinant of the limited metric where the limits have no say."""
-    xmin, ymin, xmax, ymax = shapely.bounds(geometry)
-    t = (np.arange(32) + 0.5) / 32
-    x, y = (a.ravel() for a in np.meshgrid(xmin + t * (xmax - xmin), ymin + t * (ymax - ymin)))
-    h, m = surface.hessian(x, y), limited(x, y)
-    true = np.abs(h[:, 0, 0] * h[:, 1, 1] - h[:, 0, 1] ** 2)
-    return max(float((true / (m[:, 0, 0] * m[:, 1, 1] - m[:, 0, 1] ** 2)).max()), 1e-300)
 
 
 def _measured(mesh: Result, surface: Field, norm: str, tol: float, least: float) -> Result:
