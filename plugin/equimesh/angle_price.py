@@ -27,7 +27,7 @@ _STEP, _RATIOS = 0.35, 32
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _largest_area(ratio, floor, angles, turns):
+def _largest_area(ratio: float, floor: float, angles: int, turns: int) -> float:
     """Area of the largest triangle of error 1 for the Hessian diag(1, ratio) in units of 8 tol."""
     largest = 0.0
     spare = math.pi - 3.0 * floor
@@ -41,8 +41,13 @@ def _largest_area(ratio, floor, angles, turns):
             side = math.sin(b) / math.sin(c)
             cx, cy = side * math.cos(a), side * math.sin(a)
             area = 0.5 * cy
-            for k in range(turns):
-                co, si = math.cos(math.pi * k / turns), math.sin(math.pi * k / turns)
+            # Directions all around, and those with an edge along an axis.
+            for k in range(turns + 6):
+                turn = math.pi * k / turns
+                if k >= turns:
+                    edge = (0.0, a, math.pi - b)[k % 3]
+                    turn = (0.5 * math.pi if k < turns + 3 else 0.0) - edge
+                co, si = math.cos(turn), math.sin(turn)
                 vx, vy = co * cx - si * cy, si * cx + co * cy
                 p = co * co + ratio * si * si
                 q = vx * vx + ratio * vy * vy
@@ -66,7 +71,16 @@ def largest_areas(floor: float) -> NDArray[np.float64]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _both(frame, child, coef, points, triangles, depth, shares, step):
+def _both(
+    frame: NDArray[np.float64],
+    child: NDArray[np.int32],
+    coef: NDArray[np.float64],
+    points: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    depth: int,
+    shares: NDArray[np.float64],
+    step: float,
+) -> tuple[float, float]:
     """Integrals of the density of optimal triangles without and with the floor, alike scaled."""
     free = kept = 0.0
     n = 2**depth
@@ -115,7 +129,5 @@ def price_of_floor(
     depth = max(0, math.ceil(0.5 * math.log2(1e5 / max(len(triangles), 1))))
     shares = largest_areas(math.radians(degrees))
     plane = np.ascontiguousarray(points[:, :2])
-    free, kept = _both(
-        field.frame, field.child, field.coef, plane, triangles, depth, shares, _STEP
-    )
+    free, kept = _both(field.frame, field.child, field.coef, plane, triangles, depth, shares, _STEP)
     return float(kept / free) if free > 0.0 else math.nan

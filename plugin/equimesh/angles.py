@@ -60,7 +60,9 @@ class AngleFloor:
         floor = np.full(len(points), self.angle)
         if len(self.corners):
             order = np.lexsort(points[:, 1::-1].T)
-            place = {tuple(p): i for i, p in zip(order.tolist(), points[order, :2].tolist())}
+            place = {
+                tuple(p): i for i, p in zip(order.tolist(), points[order, :2].tolist(), strict=True)
+            }
             for corner, angle in zip(self.corners.tolist(), self.angles.tolist(), strict=True):
                 if tuple(corner) in place:
                     floor[place[tuple(corner)]] = _CORNER * angle * (1.0 - _ABOVE)

@@ -132,6 +132,13 @@ class Result:
     metadata: Mapping[str, Any] = field(default_factory=dict)
     constraints: Constraints = field(default_factory=_no_constraints)
 
+    def __repr__(self) -> str:
+        """One line: what was meshed, triangles, tolerance, bound and status."""
+        return (
+            f"Result({self.input_size}, {len(self.triangles):,} triangles, tol={self.tol:.6g}, "
+            f"bound={self.profile.bound:.6g}, {self.status.name})"
+        )
+
     @property
     def curves(self) -> Boundary:
         """The boundary and after it the constraints: all named curves, every edge in one of them.

@@ -36,8 +36,8 @@ class KernelField(NamedTuple):
     vertex_items: NDArray[np.int32] = np.empty(0, np.int32)
     triangle_start: NDArray[np.int32] = np.empty(0, np.int32)  # SURFACE: cell -> triangles over it
     triangle_items: NDArray[np.int32] = np.empty(0, np.int32)
-    # Where triangles have a floor for their angles (``optimise.angles``): its sine, and p, q, r with
-    # which (p x + q y, r y) are the user's coordinates, turned; else empty.
+    # Where angles have a floor (``optimise.angles``): its sine, and p, q, r with which (p x + q y,
+    # r y) are the user's coordinates, turned; else empty.
     shape: NDArray[np.float64] = np.empty(0)
     sharp: NDArray[np.float64] = np.empty((0, 3))  # corners x, y by x, and the sine of their floor
 

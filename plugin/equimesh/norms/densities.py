@@ -9,8 +9,9 @@ With H = diag(l1, l2), |l1| >= |l2|, and triangles of area A:
   1 / (2 sqrt 3), C2 = sqrt(4 / 45). Where it is not, every triangle with p + q + r = 0 is best for
   L2, C2 = 1 / sqrt(90), and of these the one with an edge of square 0 for L1, C1 = 1 / 12 (found
   by trying all). Summed over the domain and minimised over the density of triangles that gives
-  ``N* = (integral of g^(p / (p + 1)))^((p + 1) / p) / tol`` with ``g = Cp sqrt|det H|`` (L. Chen, P. Sun
-  and J. Xu, "Optimal anisotropic meshes for minimizing interpolation errors in L^p-norm", 2007).
+  ``N* = (integral of g^(p / (p + 1)))^((p + 1) / p) / tol`` with ``g = Cp sqrt|det H|`` (L. Chen,
+  P. Sun and J. Xu, "Optimal anisotropic meshes for minimizing interpolation errors in L^p-norm",
+  2007).
 - the gradient's error is largest at a vertex. The best triangle is isosceles, its base along the
   stronger direction (E. F. D'Azevedo and R. B. Simpson, "On optimal triangular meshes for
   minimizing the gradient error", 1991, treat the same problem): with the ratio r = l2 / l1 > 0 it
@@ -19,7 +20,6 @@ With H = diag(l1, l2), |l1| >= |l2|, and triangles of area A:
 """
 
 from __future__ import annotations
-
 
 from collections.abc import Callable
 
@@ -63,7 +63,7 @@ def gradient_area(ratio: Array) -> Array:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _hessians(frame, child, coef, local):
+def _hessians(frame: Array, child: NDArray[np.int32], coef: Array, local: Array) -> Array:
     """(n, 2, 2) second derivatives at local points (n, 2)."""
     out = np.empty((local.shape[0], 2, 2))
     for i in range(local.shape[0]):
@@ -110,7 +110,5 @@ def least_triangles(surface: Field, geometry: shapely.Geometry, norm: str, tol: 
     whole = integral(density, geometry, _ACCURACY)
     if norm in POWERS:
         p = POWERS[norm]
-        return whole ** ((p + 1.0) / p) / tol
+        return float(whole ** ((p + 1.0) / p) / tol)
     return whole / tol**2
-
-

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -127,8 +129,10 @@ def _at_corners(surface: Field, corners: Array, slopes: Array) -> tuple[Array, A
     numbers = np.arange(len(flat)).reshape(-1, 3)
     for axis in range(2):
         heights = np.column_stack([flat, gradient[..., axis].ravel()])
-        _, bounds = sampled_errors(
-            lambda x, y, axis=axis: surface.gradient(x, y)[:, axis], heights, numbers, 0.0
-        )
+        _, bounds = sampled_errors(_component(surface, axis), heights, numbers, 0.0)
         missed = np.hypot(missed, bounds)
     return length, length + missed
+
+
+def _component(surface: Field, axis: int) -> Callable[[Array, Array], Array]:
+    return lambda x, y: surface.gradient(x, y)[:, axis]

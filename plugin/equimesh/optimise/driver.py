@@ -146,9 +146,9 @@ def optimise(
                 break
     report(0.5)
     good = bool(violations(mesh, 1.0)[0] == 0)
-    if good:
+    if good or len(field.shape):  # a few angles may be out of reach of insertion alone
         _remove(field, mesh, tol, rounds, visits, lambda f: report(0.5 + 0.5 * f))
-    return mesh, good
+    return mesh, good or bool(violations(mesh, 1.0)[0] == 0)
 
 
 def repair(field: KernelField, mesh: Mesh, tol: float, slots: NDArray[np.int64]) -> Mesh:

@@ -79,8 +79,7 @@ def edge_of(F, m, tol, a, b):
 
 @compiled
 def inner_of(F, m, tol, a, b, c):
-    """(signed error / tol, x, y) inside the triangle a, b, c, or the price of its angles if larger.
-    """
+    """(signed error / tol, x, y) inside the triangle a, b, c, or its angles' price if larger."""
     e, x, y = _inner_error(F, m, tol, a, b, c)
     if F.shape.shape[0] > 0:
         price = angle_price(F, m, a, b, c)
