@@ -53,6 +53,13 @@ class Bound(enum.StrEnum):
     samples = "samples"
 
 
+class Norm(enum.StrEnum):
+    max = "max"
+    L1 = "L1"
+    L2 = "L2"
+    gradient = "gradient"
+
+
 FunctionOption = Annotated[
     str | None, typer.Option("--function", metavar="EXPR", help='Such as "exp(5*x)*sin(5*y)".')
 ]
@@ -122,6 +129,13 @@ def remesh(
     fit: Annotated[
         Fit, typer.Option(help="best: vertices may leave the surface, within the tolerance.")
     ] = Fit.interpolate,
+    min_angle: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="No smaller angles than this, at most 30 degrees."),
+    ] = None,
+    norm: Annotated[
+        Norm, typer.Option(help="Of a function: the norm of the error that --tol bounds.")
+    ] = Norm.max,
     effort: Annotated[Effort, typer.Option(help="Time against triangles.")] = Effort.balanced,
     up: UpOption = None,
     band: BandOption = None,
@@ -154,7 +168,8 @@ def remesh(
                 field, tol, region, target=target, max_triangles=most, fit=fit.value,
                 effort=effort.value, seed=seed, progress=progress,
                 bound=None if bound is None else bound.value,
-                constraints=() if breaklines is None else breaklines,
+                constraints=() if breaklines is None else breaklines, min_angle=min_angle,
+                norm=norm.value,
             )  # fmt: skip
         if not result.status.usable:
             raise InputError(result.status.value)
@@ -162,7 +177,8 @@ def remesh(
         placed = formats.in_space(result, field)
         written = formats.files_of(output, placed)
         if plot_file is not None:
-            written[plot_file] = lambda path: plot.save_plot(path, result.profile, result.tol)
+            line = result.tol if norm is Norm.max else None  # others are not of one triangle
+            written[plot_file] = lambda path: plot.save_plot(path, result.profile, line)
         _finish(written, figures, report_file)
         _show(figures, function or result.input_size, [*getattr(field, "notes", ()), *result.notes])
     if not result.status.ok:

@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import shapely
 
+from equimesh.angles import AngleFloor, checked_angle
 from equimesh.constraints import with_constraints
 from equimesh.domain import DomainLike, domain_geometry, sides_of
 from equimesh.drafts import best_draft
@@ -29,6 +30,7 @@ __all__ = ["Effort", "Fit", "Progress", "remesh"]
 Progress: TypeAlias = Callable[[str, float], Any]
 Fit: TypeAlias = Literal["interpolate", "best"]
 Effort: TypeAlias = Literal["fast", "balanced", "best"]
+Norm: TypeAlias = Literal["max", "L1", "L2", "gradient"]
 
 _REPAIRS = 8
 
@@ -46,6 +48,8 @@ def remesh(
     progress: Progress | None = None,
     constraints: Any = (),
     bound: Bound | None = None,
+    min_angle: float | None = None,
+    norm: Norm = "max",
 ) -> Result:
     """The mesh with few triangles that represents a surface to within a tolerance.
 
@@ -83,6 +87,16 @@ def remesh(
         For rasters: ``"surface"``, the error counts everywhere on the bilinear surface (so it does
         if nothing is said), or ``"samples"``, at the samples only.
 
+    min_angle
+        Degrees, at most 30: no angle of a triangle, seen from above, is smaller, except at vertices
+        where sides of the domain or constraints meet at a smaller one. A note tells the price in
+        triangles.
+    norm
+        What ``tol`` bounds: ``"max"``, the largest error; of functions also ``"L1"``, the integral
+        of |f - f_h|; ``"L2"``, the root of the integral of its square; ``"gradient"``, the largest
+        Euclidean length of the gradient of f - f_h. Then ``profile`` is a ``NormProfile`` and
+        ``lower_bound`` that norm's.
+
     Returns
     -------
     Result
@@ -103,18 +117,31 @@ def remesh(
 
         if max_triangles is not None:
             raise InputError("A metric takes no max_triangles=: give target=, or tol= alone.")
+        if min_angle is not None:
+            raise InputError("A metric takes no min_angle=: its triangles are equilateral in it.")
+        if norm != "max":
+            raise InputError("A metric takes no norm=: it has no error to measure.")
         return remesh_metric(
             source, tol, domain, target=target, fit=fit, effort=effort, seed=seed,
             progress=progress, constraints=constraints,
         )  # fmt: skip
+    if norm != "max":
+        from equimesh.norms import remesh_norm
+
+        return remesh_norm(
+            source, tol, domain, norm, effort=effort, seed=seed, progress=progress, target=target,
+            max_triangles=max_triangles, fit=None if fit == "interpolate" else fit,
+            constraints=constraints, bound=bound, min_angle=min_angle,
+        )  # fmt: skip
     _check_options(tol, target, max_triangles, fit, effort, seed)
+    angle = None if min_angle is None else checked_angle(min_angle)
     most = max_triangles if target is None else target
     if most is not None:
         from equimesh.target import remesh_to_target
 
         return remesh_to_target(
             source, most, domain, tol, fit=fit, effort=effort, seed=seed, progress=progress,
-            bound=bound, constraints=constraints,
+            bound=bound, constraints=constraints, min_angle=min_angle,
         )  # fmt: skip
     assert tol is not None
     stages = Stages(progress)
@@ -133,6 +160,9 @@ def remesh(
         frame = surface.frame(covered)
     with stages.stage("seed"):
         sides = with_constraints(sides_of(covered), constraints, covered, frame)
+        floor = None if angle is None else AngleFloor.of(angle, sides)
+        if floor is not None:
+            kernel = floor.kept_by(kernel, frame)
         start = best_draft(meshed, kernel, sides, frame, height / unit, effort, fit == "best")
     with stages.stage("optimise") as report:
         mesh, good = optimise(kernel, start.mesh, start.aim, effort, report)
@@ -153,6 +183,12 @@ def remesh(
     least = math.nan
     if surface.smooth:
         least = _lower_bound(surface, kernel, mesh, height)
+    status = Status.CONVERGED if profile.bound <= height else Status.NOT_CONVERGED
+    notes = (*getattr(surface, "notes", ()), *sides.lines.notes)
+    if floor is not None:
+        if status.ok and len(floor.missed(points, triangles)):
+            status = Status.SHARP
+        notes = (*notes, floor.note(profile, least, kernel, mesh))
     return Result(
         points=points,
         triangles=triangles,
@@ -160,11 +196,11 @@ def remesh(
         profile=profile,
         tol=height,
         lower_bound=least,
-        status=Status.CONVERGED if profile.bound <= height else Status.NOT_CONVERGED,
+        status=status,
         seed=seed,
         input_size=surface.size,
         timings=stages.seconds,
-        notes=(*getattr(surface, "notes", ()), *sides.lines.notes),
+        notes=notes,
         metadata=dict(getattr(surface, "metadata", {})),
         constraints=tagged_constraints(mesh, start),
     )

@@ -36,6 +36,7 @@ def of_result(result: Result, seconds: Mapping[str, float]) -> dict[str, Any]:
         "status": result.status.name.lower(),
         "tol": result.tol,
         "bound": result.profile.over,
+        "norm": getattr(result.profile, "norm", "max"),
         **_of_mesh(result.profile),
         "lower_bound": result.lower_bound,
         "efficiency": result.efficiency,

@@ -28,6 +28,11 @@ class Status(enum.Enum):
         "is certified to be at most the larger one that the result tells; allow more triangles or "
         "raise the tolerance"
     )
+    SHARP = (
+        "the error is certified to be at most the tolerance everywhere, but in places triangles "
+        "have smaller angles than min_angle: lower it, or simplify the domain's outline or the "
+        "constraints there"
+    )
     UNIT = "at least 98 % of the edges have a metric length from 1/sqrt(2) to sqrt(2)"
     NOT_UNIT = (
         "fewer than 98 % of the edges have a metric length from 1/sqrt(2) to sqrt(2): the metric "
@@ -126,6 +131,13 @@ class Result:
     notes: tuple[str, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
     constraints: Constraints = field(default_factory=_no_constraints)
+
+    def __repr__(self) -> str:
+        """One line: what was meshed, triangles, tolerance, bound and status."""
+        return (
+            f"Result({self.input_size}, {len(self.triangles):,} triangles, tol={self.tol:.6g}, "
+            f"bound={self.profile.bound:.6g}, {self.status.name})"
+        )
 
     @property
     def curves(self) -> Boundary:

@@ -24,7 +24,8 @@ class KernelField(NamedTuple):
 
     kind: int
     # Scalars of the kind: origin and size of its index; for PATCHES also the share of the tolerance
-    # that a vertex may take up where f is convex or concave, plus one (``two_sided``).
+    # that a vertex may take up where f is convex or concave, plus one (``two_sided``), and, where
+    # angles have a floor, the largest ratio of the lattice's eigenvalues (``angled``).
     frame: NDArray[np.float64] = np.empty(0)
     grid: NDArray[np.float64] = np.empty((0, 0))  # RASTER: heights [row, column]
     child: NDArray[np.int32] = np.empty((0, 4), np.int32)  # PATCHES: quadtree
@@ -35,6 +36,10 @@ class KernelField(NamedTuple):
     vertex_items: NDArray[np.int32] = np.empty(0, np.int32)
     triangle_start: NDArray[np.int32] = np.empty(0, np.int32)  # SURFACE: cell -> triangles over it
     triangle_items: NDArray[np.int32] = np.empty(0, np.int32)
+    # Where angles have a floor (``optimise.angles``): its sine, and p, q, r with which (p x + q y,
+    # r y) are the user's coordinates, turned; else empty.
+    shape: NDArray[np.float64] = np.empty(0)
+    sharp: NDArray[np.float64] = np.empty((0, 3))  # corners x, y by x, and the sine of their floor
 
     def two_sided(self) -> KernelField:
         """The same field for meshes whose vertices may leave it by up to the tolerance.
@@ -43,4 +48,24 @@ class KernelField(NamedTuple):
         """
         if self.kind != PATCHES:
             return self
-        return self._replace(frame=np.append(self.frame[:3], 2.0))
+        frame = self.frame.copy()
+        frame[3] = 2.0
+        return self._replace(frame=frame)
+
+    def angled(
+        self, sine: float, matrix: NDArray[np.float64], sharp: NDArray[np.float64], ratio: float
+    ) -> KernelField:
+        """The same field for meshes whose angles have a floor.
+
+        ``sine``: of the floor; ``matrix`` (2, 2): local to the user's coordinates; ``sharp``
+        (k, 3): corners in local coordinates and the sine of the floor there; ``ratio``: by which
+        the lattice's triangles are stretched, at most.
+        """
+        turned = np.linalg.qr(matrix, mode="r")
+        turned *= np.sign(np.diag(turned))[:, None]
+        frame = self.frame
+        if self.kind == PATCHES:
+            frame = np.append(frame, ratio * ratio)
+        shape = np.array([sine, turned[0, 0], turned[0, 1], turned[1, 1]])
+        order = np.argsort(sharp[:, 0], kind="stable")
+        return self._replace(frame=frame, shape=shape, sharp=np.ascontiguousarray(sharp[order]))

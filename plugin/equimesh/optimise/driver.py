@@ -52,7 +52,7 @@ _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
 # Removals tried by focused search at ``best``: in all, and rounds at least and at most. It stops
 # when so many rounds in a row have each taken out less than this share of the vertices.
 _TRIALS, _FEWEST_ROUNDS, _MOST_ROUNDS = 250_000, 8, 100
-_IDLE_ROUNDS, _IDLE = 5, 2e-4
+_IDLE_ROUNDS, _IDLE_SHARE = 5, 2e-4
 
 
 @dataclass(frozen=True)
@@ -151,12 +151,13 @@ def optimise(
                 break
     report(0.5)
     good = bool(violations(mesh, 1.0)[0] == 0)
-    if good:
+    if good or len(field.shape):  # a few angles may be out of reach of insertion alone
         searched = effort == "best" and field.kind != PATCHES
         share = 0.1 if searched else 0.5
         _remove(field, mesh, tol, rounds, visits, lambda f: report(0.5 + share * f))
-        if searched:
-            _exchange(field, mesh, tol, lambda f: report(0.6 + 0.4 * f))
+        good = good or bool(violations(mesh, 1.0)[0] == 0)
+        if searched and good:
+            _search(field, mesh, tol, lambda f: report(0.6 + 0.4 * f))
     return mesh, good
 
 
@@ -258,7 +259,7 @@ def _remove(
             mesh.count[MANNER] = SETTLE
 
 
-def _exchange(field: KernelField, mesh: Mesh, tol: float, report: Report) -> None:
+def _search(field: KernelField, mesh: Mesh, tol: float, report: Report) -> None:
     """Rounds of focused search over all vertices, in random order."""
     search, order = make_search(mesh), np.random.default_rng(0)
     candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
@@ -272,6 +273,6 @@ def _exchange(field: KernelField, mesh: Mesh, tol: float, report: Report) -> Non
             part = candidates[first : first + 500]
             removed += exchange_round(field, mesh, tol, search, part)[0]
             report((number + (first + len(part)) / len(candidates)) / rounds)
-        idle = idle + 1 if removed <= _IDLE * len(candidates) else 0
+        idle = idle + 1 if removed <= _IDLE_SHARE * len(candidates) else 0
         if idle == _IDLE_ROUNDS:
             break

@@ -14,6 +14,7 @@ import math
 from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import edge_error, inner_error, value
 from equimesh.fields.patch_kernels import derivatives2
+from equimesh.optimise.angles import angle_price
 from equimesh.optimise.mesh import EVEN, MANNER, MODEL, SOFT, SPREAD
 from equimesh.optimise.model import alike, model_edge, model_inner
 from equimesh.optimise.topology import note_triangle
@@ -78,7 +79,17 @@ def edge_of(F, m, tol, a, b):
 
 @compiled
 def inner_of(F, m, tol, a, b, c):
-    """(signed error / tol, x, y) inside the triangle a, b, c."""
+    """(signed error / tol, x, y) inside the triangle a, b, c, or its angles' price if larger."""
+    e, x, y = _inner_error(F, m, tol, a, b, c)
+    if F.shape.shape[0] > 0:
+        price = angle_price(F, m, a, b, c)
+        if price > abs(e):
+            return price, x, y
+    return e, x, y
+
+
+@compiled
+def _inner_error(F, m, tol, a, b, c):
     if m.count[MODEL] == 1 and alike(m, a, b) and alike(m, b, c) and alike(m, c, a):
         e, x, y = model_inner(m, a, b, c)
         return e / tol, x, y

@@ -10,6 +10,8 @@ import math
 
 from equimesh.fields.compiled import compiled
 from equimesh.fields.kernel import RASTER
+from equimesh.optimise.angles import by_angle
+from equimesh.optimise.centres import beyond, circumcentre, split_for_angle
 from equimesh.optimise.energy import edge_of, set_edge, set_inner, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import FREE_TRIANGLES
@@ -17,6 +19,7 @@ from equimesh.optimise.topology import ample, flip, star
 
 __all__ = ["refine"]
 
+_STEPS = 200  # triangles on the way to the centre of a circumcircle
 _WIDE = -0.87  # the cosine of the angle above a wall, 150 degrees
 
 
@@ -54,8 +57,11 @@ def _pop(heap, key, size):
 
 
 @compiled
-def _not_delaunay(m, t, k):
-    """Whether the vertex beyond edge k lies well inside the circumcircle of t."""
+def _not_delaunay(F, m, t, k):
+    """Whether the vertex beyond edge k lies well inside the circumcircle of t.
+
+    The circle is one in the user's coordinates where angles have a floor, else in local ones.
+    """
     u = m.tn[t, k]
     if u < 0 or m.wall[t, k] == 1:
         return False
@@ -67,6 +73,10 @@ def _not_delaunay(m, t, k):
     ax, ay = m.x[a] - m.x[d], m.y[a] - m.y[d]
     bx, by = m.x[b] - m.x[d], m.y[b] - m.y[d]
     cx, cy = m.x[c] - m.x[d], m.y[c] - m.y[d]
+    if F.shape.shape[0] > 0:
+        ax, ay = F.shape[1] * ax + F.shape[2] * ay, F.shape[3] * ay
+        bx, by = F.shape[1] * bx + F.shape[2] * by, F.shape[3] * by
+        cx, cy = F.shape[1] * cx + F.shape[2] * cy, F.shape[3] * cy
     a2, b2, c2 = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
     p = ax * (by * c2 - cy * b2)
     q = ay * (bx * c2 - cx * b2)
@@ -87,14 +97,41 @@ def _restore_delaunay(F, m, tol, v):
         n, _ = star(m, v)
         for i in range(n):
             t, k = m.ring[1, i], (m.ring[2, i] + 1) % 3
-            if _not_delaunay(m, t, k):
-                u = flip(m, t, k)
-                e, s = edge_of(F, m, tol, m.tv[t, 2], m.tv[t, 0])
-                set_edge(m, t, 2, e, s)
-                set_inner(F, m, tol, t)
-                set_inner(F, m, tol, u)
+            if _not_delaunay(F, m, t, k):
+                _flipped(F, m, tol, t, k)
                 changed = True
                 break
+
+
+@compiled
+def _flipped(F, m, tol, t, k):
+    """Flip edge k of t; returns the other triangle."""
+    u = flip(m, t, k)
+    e, s = edge_of(F, m, tol, m.tv[t, 2], m.tv[t, 0])
+    set_edge(m, t, 2, e, s)
+    set_inner(F, m, tol, t)
+    set_inner(F, m, tol, u)
+    return u
+
+
+@compiled
+def _flipped_before(F, m, tol, t):
+    """Flip an edge that is not Delaunay on the way from t to the centre of its circumcircle.
+
+    Only in a Delaunay triangulation are such circles empty, and their centres far from all
+    vertices. Returns the two triangles, (-1, -1) where there is none to flip.
+    """
+    x, y = circumcentre(F, m, t)
+    s = t
+    for _ in range(_STEPS):
+        for k in range(3):
+            if _not_delaunay(F, m, s, k):
+                return s, _flipped(F, m, tol, s, k)
+        k = beyond(m, s, x, y)
+        if k < 0 or m.tn[s, k] < 0 or m.wall[s, k] == 1:
+            break
+        s = m.tn[s, k]
+    return -1, -1
 
 
 @compiled
@@ -178,6 +215,8 @@ def _split_worst(F, m, tol, t):
     for i in range(3):
         if abs(m.ee[t, i]) > worst:
             k, worst = i, abs(m.ee[t, i])
+    if k < 0 and by_angle(F, m, t):
+        return split_for_angle(F, m, tol, t)
     if k < 0:
         return _split_at(F, m, tol, t, m.ix[t], m.iy[t])
     s = m.ep[t, k]
@@ -219,6 +258,13 @@ def refine(F, m, tol, heap, key, most):
             return True
         if m.count[0] + 16 > m.tv.shape[0] or m.count[1] + 4 > m.x.shape[0]:
             return False
+        if by_angle(F, m, t):
+            s, u = _flipped_before(F, m, tol, t)
+            if s >= 0:
+                for r in (s, u, t):
+                    if worst_of(m, r) > 1.0 and size < heap.shape[0]:
+                        size = _push(heap, key, size, r, worst_of(m, r))
+                continue
         v = _split_worst(F, m, tol, t)
         if v < 0:
             continue

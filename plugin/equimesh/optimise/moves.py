@@ -13,6 +13,7 @@ import math
 from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import gradient
 from equimesh.fields.kernel import PATCHES
+from equimesh.optimise.angles import angle_slope, by_angle
 from equimesh.optimise.energy import ROOM, edge_of, inner_of, lift, penalty
 from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, MODEL, SLIDES
 from equimesh.optimise.model import model_rise
@@ -146,6 +147,12 @@ def _residuals(F, m, tol, v, n, closed):
         if abs(e) < 0.8:
             continue
         p, q = m.ring[0, i], m.ring[0, (i + 1) % spokes]
+        if by_angle(F, m, t):
+            m.work[5, count] = e - m.hinge[0]
+            m.work[6, count], m.work[7, count] = angle_slope(F, m, v, p, q)
+            m.work[8, count] = 0.0
+            count += 1
+            continue
         area = (m.x[p] - vx) * (m.y[q] - vy) - (m.y[p] - vy) * (m.x[q] - vx)
         x, y = m.ix[t], m.iy[t]
         w = ((m.x[p] - x) * (m.y[q] - y) - (m.y[p] - y) * (m.x[q] - x)) / area

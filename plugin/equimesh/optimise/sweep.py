@@ -10,6 +10,8 @@ from numba import njit
 from equimesh.fields.compiled import compiled
 from equimesh.fields.kernel import PATCHES
 from equimesh.fields.patch_kernels import derivatives2
+from equimesh.optimise.angles import by_angle
+from equimesh.optimise.centres import split_for_angle
 from equimesh.optimise.energy import ROOM, penalty, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import FREE, MANNER, SETTLE, SLIDES, SPREAD
@@ -137,6 +139,11 @@ def split_at_worst(F, m, tol, t):
     for i in range(3):
         if (m.tn[t, i] < 0 or m.wall[t, i] == 1) and abs(m.ee[t, i]) > 1.0:
             k = i
+    if k < 0 and by_angle(F, m, t):
+        v = split_for_angle(F, m, tol, t)
+        if v >= 0:
+            return v
+        k = 0
     if k < 0:
         v = split_inside(F, m, tol, t, m.ix[t], m.iy[t])
         if v >= 0:

@@ -15,7 +15,7 @@ from equimesh.fields import Source, as_field
 from equimesh.fields.kernel import PATCHES
 from equimesh.metric import frame_at
 
-__all__ = ["error_metric"]
+__all__ = ["error_metric", "limited_tensors"]
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ _SHARE = 8.0 / 6.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _tensors(frame, child, coef, local, eight_tol, floor):
+def limited_tensors(frame, child, coef, local, eight_tol, floor):
     """(n, 2, 2) limited |H| / (6 tol) at local points (n, 2)."""
     out = np.empty((local.shape[0], 2, 2))
     for i in range(local.shape[0]):
@@ -74,7 +74,7 @@ def error_metric(
 
     def tensor(x: Array, y: Array) -> Array:
         local = np.ascontiguousarray(frame.to_local(np.stack([x, y], 1)))
-        m = _tensors(kernel.frame, kernel.child, kernel.coef, local, 8.0 * tol, floor)
+        m = limited_tensors(kernel.frame, kernel.child, kernel.coef, local, 8.0 * tol, floor)
         return np.asarray(inverse.T @ m @ inverse)
 
     return tensor

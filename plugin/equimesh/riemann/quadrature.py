@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from equimesh.domain import sides_of
 from equimesh.triangulation import constrained_delaunay
 
-__all__ = ["POINTS", "WEIGHTS", "domain_triangles", "integral"]
+__all__ = ["POINTS", "WEIGHTS", "domain_triangles", "integral", "quartered"]
 
 Array = NDArray[np.float64]
 
@@ -46,11 +46,11 @@ def integral(
     points, triangles = domain_triangles(geometry)
     corners = points[triangles]
     while len(corners) < _START:
-        corners = _quartered(corners)
+        corners = quartered(corners)
     coarse = _rule(f, corners)
     total = 0.0
     while True:
-        parts = _quartered(corners)
+        parts = quartered(corners)
         fine = _rule(f, parts)
         together = fine.reshape(4, -1).sum(0)
         whole = total + float(together.sum())
@@ -66,7 +66,7 @@ def integral(
         coarse = fine.reshape(4, -1)[:, worst].ravel()
 
 
-def _quartered(corners: Array) -> Array:
+def quartered(corners: Array) -> Array:
     """(4 m, 3, 2) parts of triangles (m, 3, 2): all first parts, all second parts, ..."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
