@@ -17,7 +17,7 @@ from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.first_mesh import FirstMesh, first_mesh
 from equimesh.frame import Frame
-from equimesh.optimise.driver import EFFORTS, draft, seam_share
+from equimesh.optimise.driver import EFFORTS, cycled, draft, seam_share, triangles_in
 
 __all__ = ["best_draft"]
 
@@ -26,8 +26,9 @@ _SEAMS = 0.08  # above this share of violated triangles a lattice had better be 
 # leave the lattice as it is laid), and where and how turned the lattice starts.
 _FLAT = ((None, 0), (0.93, 0), (0.9, 0), (None, 1), (None, 2), (None, 3), (None, 4), (None, 5))
 _CURVED = (
-    (0.9, 0), (0.87, 0), (0.93, 0), (None, 0), (0.9, 1), (0.87, 1), (0.93, 1), (0.89, 2),
+    (0.93, 0), (0.9, 0), (0.93, 1), (0.9, 1), (0.93, 2), (0.87, 0), (0.9, 2), (0.93, 3),
 )  # fmt: skip
+_CYCLED = 2  # drafts that go on from there
 
 
 def best_draft(
@@ -56,6 +57,15 @@ def best_draft(
             start = first_mesh(surface, kernel, sides, frame, tol, error, two_sided, turn)
         return dataclasses.replace(start, mesh=draft(kernel, start.mesh, start.aim, effort, error))
 
-    with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:
+    workers = min(numba.config.NUMBA_NUM_THREADS, number)
+    with ThreadPoolExecutor(workers) as pool:
         drafts = list(pool.map(drafted, (_FLAT if settled else _CURVED)[:number]))
-    return min(drafts, key=lambda start: int((start.mesh.tv[:, 0] >= 0).sum()))
+        drafts.sort(key=lambda start: triangles_in(start.mesh))
+        meshes = pool.map(
+            lambda start: cycled(kernel, start.mesh, start.aim, effort), drafts[:_CYCLED]
+        )
+        drafts = [
+            dataclasses.replace(start, mesh=mesh)
+            for start, mesh in zip(drafts[:_CYCLED], meshes, strict=True)
+        ]
+    return min(drafts, key=lambda start: triangles_in(start.mesh))

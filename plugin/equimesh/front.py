@@ -301,6 +301,8 @@ def grow(
                     step[2], step[3], step[4], step[5] = w[0], w[1], w[2], w[3]
                 if not inside(sides, strip_start, strip_items, strip_box, nx, ny):
                     continue
+                if eps != signs[here]:
+                    continue  # beyond det H = 0 nothing fits: a seed there does better
                 _gauge(e1x, e1y, e2x, e2y, eps, step[2:6], out)
                 limit = merge * (_EDGE_CONVEX if eps > 0 else 1.0)
                 if nearest(tree, link, box, px, py, nx, ny, out, limit, boundary)[1] >= 0:

@@ -1,9 +1,11 @@
 """Annealing: vertices come, go and move until a smooth energy of all errors is low.
 
 Where the metric is curved a lattice must have dislocations, and one laid along geodesics has them
-in long seams. The energy ``sum e^6 + MU * triangles`` (edges count half from each side) favours
+in long seams. The energy ``sum e^p + mu * triangles`` (edges count half from each side) favours
 crystals: its power spreads strain over many triangles, and the price of a triangle makes an error
-of 1 the best one. The steps are those of a grand canonical ensemble at temperature zero.
+of 1 the best one. The steps are those of a grand canonical ensemble at temperature zero: all
+vertices move together and edges flip until nothing gives, then single vertices are exchanged. The
+power rises on the way, since in the end only the largest error counts.
 """
 
 from __future__ import annotations
@@ -15,23 +17,32 @@ from equimesh.fields.kernel import KernelField
 from equimesh.optimise.energy import evaluate_all, penalty, worst_of
 from equimesh.optimise.mesh import (
     EPOCH,
+    FIRM,
     FREE,
+    HARD,
     LOG_T,
     MANNER,
     SETTLE,
     SLIDES,
     SOFT,
+    TRIANGLES,
     Mesh,
 )
+from equimesh.optimise.newton import relax_together
 from equimesh.optimise.relax import Queue, clear, push, relax
 from equimesh.optimise.removal import remove_vertex
 from equimesh.optimise.sweep import flip_all, relax_everything, split_at_worst, vertex_waste
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 
-__all__ = ["anneal"]
+__all__ = ["anneal", "exchange", "press"]
 
-_MU = 7.0  # (p - 1) times the energy of a lattice triangle of error 1, p = 6
+# For each power p: (p - 1) times the energy of a lattice triangle of error 1, in the mean of the
+# convex and the saddle lattice. Then an error of 1 has the least energy in a given area.
+_PRICE = {SOFT: 7.0, FIRM: 13.5, HARD: 28.0}
 _VISITS = 60  # of vertices around an insertion or removal that is tried
+_OFF = 1.5  # triangles too few or too many around a vertex that make an exchange worth a trial
+_ROUNDS = 4  # of exchanges
+_LASTING = 3e-3  # flips for each triangle below which steps of all vertices no longer matter
 
 
 @compiled
@@ -78,10 +89,11 @@ def _worst_around(m, v):
 
 
 @compiled
-def _exchange(F, m, tol, q, candidates, waste, visits, stamp, number):
+def _exchange(F, m, tol, q, candidates, waste, visits, stamp, number, price):
     """Remove each candidate whose waste is positive, or insert beside it; keep what pays.
 
-    Vertices around what was kept get the stamp ``number``. Returns how many changes were kept.
+    A triangle costs ``price``. Vertices around what was kept get the stamp ``number``. Returns how
+    many changes were kept.
     """
     kept = 0
     for i in range(candidates.shape[0]):
@@ -103,7 +115,7 @@ def _exchange(F, m, tol, q, candidates, waste, visits, stamp, number):
             push(q, v)
             triangles = 2 if _push_star(m, q, v) else 1
         relax(F, m, tol, q, visits, 12)
-        if _energy_change(m) + _MU * triangles < 0.0:
+        if _energy_change(m) + price * triangles < 0.0:
             for j in range(m.count[LOG_T]):
                 t = m.log_ti[j, 0]
                 if m.tv[t, 0] >= 0:
@@ -116,22 +128,61 @@ def _exchange(F, m, tol, q, candidates, waste, visits, stamp, number):
     return kept
 
 
-def anneal(field: KernelField, mesh: Mesh, tol: float, queue: Queue, rounds: int) -> int:
-    """Relax everything, then exchange vertices where the density is off; returns the exchanges."""
-    total = 0
+def anneal(field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queue) -> None:
+    """From a lattice to crystals with few dislocations, for ``error`` (units of ``tol``) at first.
+
+    As the power rises the errors come closer together, and their mean may come closer to ``tol``.
+    """
     mesh.count[MANNER] = SOFT
-    evaluate_all(field, mesh, tol)
-    flip_all(field, mesh, tol, 50)
-    relax_everything(field, mesh, tol, queue, 10)
+    evaluate_all(field, mesh, error * tol)
+    flip_all(field, mesh, error * tol, 50)
+    relax_everything(field, mesh, error * tol, queue, 10)
+    mesh.count[MANNER] = SETTLE
+    for manner, aim in ((SOFT, error), (FIRM, max(error, 0.95)), (HARD, max(error, 0.97))):
+        exchange(field, mesh, tol, aim, queue, manner)
+
+
+def exchange(
+    field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queue, manner: int = HARD
+) -> None:
+    """Rounds of exchanges for ``error`` in one manner, all vertices relaxed before and after."""
+    mesh.count[MANNER] = manner
+    aim = error * tol
+    evaluate_all(field, mesh, aim)
+    _give_way(field, mesh, aim)
     stamp = np.zeros(len(mesh.x), np.int64)
-    for number in range(1, rounds + 1):
+    for number in range(1, _ROUNDS + 1):
         candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
         candidates = candidates[stamp[candidates] == number - 1]
-        waste = vertex_waste(field, mesh, tol, candidates)
-        off = np.flatnonzero(np.abs(waste) > 1.0)
+        waste = vertex_waste(field, mesh, aim, candidates)
+        off = np.flatnonzero(np.abs(waste) > _OFF)
         order = off[np.argsort(-np.abs(waste[off]), kind="stable")]
-        total += _exchange(
-            field, mesh, tol, queue, candidates[order], waste[order], _VISITS, stamp, number
-        )
+        kept = _exchange(
+            field, mesh, aim, queue, candidates[order], waste[order], _VISITS, stamp, number,
+            _PRICE[manner],
+        )  # fmt: skip
+        if kept == 0:
+            break
+    _give_way(field, mesh, aim)
     mesh.count[MANNER] = SETTLE
-    return total
+
+
+def press(field: KernelField, mesh: Mesh, tol: float) -> None:
+    """Lower the largest errors as far as moves and flips alone can."""
+    for _ in range(4):
+        flips = 0
+        for manner in (FIRM, HARD):
+            mesh.count[MANNER] = manner
+            relax_together(field, mesh, tol, 10)
+            flips = flip_all(field, mesh, tol, 50)
+        if flips == 0:
+            break
+    mesh.count[MANNER] = SETTLE
+
+
+def _give_way(field: KernelField, mesh: Mesh, tol: float) -> None:
+    """Steps of all vertices and flips in turn until hardly anything flips."""
+    for _ in range(4):
+        relax_together(field, mesh, tol, 8)
+        if flip_all(field, mesh, tol, 50) <= _LASTING * mesh.count[TRIANGLES]:
+            break

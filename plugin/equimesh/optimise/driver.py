@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.kernel import PATCHES, KernelField
-from equimesh.optimise.anneal import anneal
+from equimesh.optimise.anneal import anneal, exchange, press
 from equimesh.optimise.energy import evaluate_all
 from equimesh.optimise.focus import exchange_round, make_search
 from equimesh.optimise.greedy import refine
@@ -24,6 +25,7 @@ from equimesh.optimise.mesh import (
     SLIDES,
     SPREAD,
     Mesh,
+    copied,
     enlarged,
 )
 from equimesh.optimise.relax import Queue, make_queue
@@ -41,12 +43,25 @@ from equimesh.optimise.sweep import (
     violations,
 )
 
-__all__ = ["EFFORTS", "Effort", "draft", "optimise", "repair", "seam_share"]
+__all__ = [
+    "EFFORTS",
+    "Effort",
+    "cycled",
+    "draft",
+    "optimise",
+    "repair",
+    "seam_share",
+    "triangles_in",
+]
 
 Report = Callable[[float], None]
 # Hardly any removal succeeds around a vertex that could spare fewer triangles than this.
 _WORTH = 1.5
-_EXCHANGES = 4  # rounds of annealing
+# Cycles aim at errors between the least and 1, by a sequence that repeats none.
+_LEAST = 0.93
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_PRESSED = 20_000  # triangles up to which true errors are pressed: they are dear
+_IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Taylor's formula.
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
 # Removals tried by focused search at ``best``: in all, and rounds at least and at most. It stops
@@ -61,8 +76,9 @@ class Effort:
 
     ``drafts``: at most so many first meshes are tried on Taylor's errors, with about ``triangles``
     in all of them together, each with ``rounds`` of removal and at most ``visits`` moves of
-    vertices around every trial; ``last_rounds`` and ``last_visits`` the
-    same for the best of them on the true errors.
+    vertices around every trial; ``last_rounds`` and ``last_visits`` the same for the best of them
+    on the true errors. In between the best drafts go through ``cycles`` of exchange and repair, as
+    many as ``cycled`` triangles allow.
     """
 
     drafts: int
@@ -71,12 +87,14 @@ class Effort:
     visits: int
     last_rounds: int
     last_visits: int
+    cycles: int
+    cycled: int
 
 
 EFFORTS = {
-    "fast": Effort(1, 0, 2, 60, 0, 0),
-    "balanced": Effort(5, 10_000, 6, 120, 2, 60),
-    "best": Effort(8, 60_000, 20, 300, 20, 600),
+    "fast": Effort(1, 0, 2, 60, 0, 0, 0, 0),
+    "balanced": Effort(5, 10_000, 6, 120, 2, 60, 8, 40_000),
+    "best": Effort(8, 60_000, 20, 300, 20, 600, 80, 300_000),
 }
 
 
@@ -105,22 +123,77 @@ def draft(field: KernelField, mesh: Mesh, tol: float, effort: str, annealed: flo
 
     ``annealed``: error to anneal the mesh for at first; None leaves the lattice as it is laid.
     """
-    how = EFFORTS[effort]
     with modelled(field, mesh):
-        queue = make_queue(len(mesh.x))
         if annealed is not None:
-            anneal(field, mesh, annealed * tol, queue, _EXCHANGES)
+            anneal(field, mesh, tol, annealed, make_queue(len(mesh.x)))
         evaluate_all(field, mesh, tol)
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         if annealed is not None:
-            mesh.count[MANNER] = SPREAD
-            relax_all(field, mesh, tol, queue, 60)
-            mesh.count[MANNER] = SETTLE
-        relax_all(field, mesh, tol, queue, 40)
-        mesh = _lower_errors(field, mesh, tol, queue)
-        if violations(mesh, 1.0)[0] == 0:
-            _remove(field, mesh, tol, how.rounds, how.visits, lambda _: None)
+            press(field, mesh, tol)
+            _spread_violations(field, mesh, tol)
+        return _completed(field, mesh, tol, effort)
+
+
+def cycled(field: KernelField, mesh: Mesh, tol: float, effort: str) -> Mesh:
+    """The best of a row of drafts, each made from the best so far by exchanging vertices.
+
+    Exchanges for an error below ``tol`` put vertices where errors are large and take them where
+    there is slack, over all the mesh at once; pressing and repair make it keep ``tol`` again. The
+    error differs from cycle to cycle, so that a mesh that did not get better is tried anew.
+    """
+    how = EFFORTS[effort]
+    best, size, idle = mesh, triangles_in(mesh), 0
+    for number in range(min(how.cycles, how.cycled // size)):
+        error = _LEAST + (1.0 - _LEAST) * math.fmod(_GOLDEN * (number + 1), 1.0)
+        mesh = copied(best)
+        with modelled(field, mesh):
+            exchange(field, mesh, tol, error, make_queue(len(mesh.x)))
+            evaluate_all(field, mesh, tol)
+            press(field, mesh, tol)
+            _spread_violations(field, mesh, tol)
+            mesh = _completed(field, mesh, tol, effort)
+            good = violations(mesh, 1.0)[0] == 0
+        idle += 1
+        if good and triangles_in(mesh) <= size:
+            if triangles_in(mesh) < size:
+                idle = 0
+            best, size = mesh, triangles_in(mesh)
+        if idle > _IDLE:
+            break
+    return best
+
+
+def triangles_in(mesh: Mesh) -> int:
+    """How many triangles a mesh has."""
+    return int((mesh.tv[:, 0] >= 0).sum())
+
+
+def _pressed(field: KernelField, mesh: Mesh, tol: float) -> Mesh:
+    """The mesh pressed, or as it was where that trades few violations for many slight ones."""
+    before = violations(mesh, 1.0)[0]
+    if before == 0:
+        return mesh
+    trial = copied(mesh)
+    press(field, trial, tol)
+    return trial if violations(trial, 1.0)[0] < before else mesh
+
+
+def _spread_violations(field: KernelField, mesh: Mesh, tol: float) -> None:
+    """Relax where strain may spread: in a mesh that is no settled lattice."""
+    mesh.count[MANNER] = SPREAD
+    relax_all(field, mesh, tol, make_queue(len(mesh.x)), 60)
+    mesh.count[MANNER] = SETTLE
+
+
+def _completed(field: KernelField, mesh: Mesh, tol: float, effort: str) -> Mesh:
+    """Violations mended by moves and insertions; then vertices removed that can be spared."""
+    how = EFFORTS[effort]
+    queue = make_queue(len(mesh.x))
+    relax_all(field, mesh, tol, queue, 40)
+    mesh = _lower_errors(field, mesh, tol, queue)
+    if violations(mesh, 1.0)[0] == 0:
+        _remove(field, mesh, tol, how.rounds, how.visits, lambda _: None)
     return mesh
 
 
@@ -138,6 +211,8 @@ def optimise(
         queue = make_queue(len(mesh.x))
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
+        if effort != "fast" and triangles_in(mesh) <= _PRESSED:
+            mesh = _pressed(field, mesh, tol)
         relax_all(field, mesh, tol, queue, 40)
         report(0.3)
         mesh = _lower_errors(field, mesh, tol, queue)

@@ -3,8 +3,9 @@
 The hinge ``h = max(0, e - hinge)``, a little below 1, leaves settled triangles alone. It is linear,
 and each violation costs a step besides (``SETTLE``): a convex power would trade a few large
 violations for many slight ones and spread them over a settled interior. Where a change is tried and
-undone if it fails, that spreading is wanted, and the price is h^2 (``SPREAD``). Smooth powers bring
-crystals about (``SOFT``), or slack together where nothing is violated and must not be (``EVEN``).
+undone if it fails, that spreading is wanted, and the price is h^2 (``SPREAD``). Where nothing is
+violated and must not be, a smooth power brings slack together (``EVEN``). Powers alone bring
+crystals about: the higher (``SOFT`` 6, ``FIRM`` 12, ``HARD`` 24), the more do large errors count.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import edge_error, inner_error, value
 from equimesh.fields.patch_kernels import derivatives2
 from equimesh.optimise.angles import angle_price
-from equimesh.optimise.mesh import EVEN, MANNER, MODEL, SOFT, SPREAD
+from equimesh.optimise.mesh import EVEN, FIRM, HARD, MANNER, MODEL, SOFT, SPREAD
 from equimesh.optimise.model import alike, model_edge, model_inner
 from equimesh.optimise.topology import note_triangle
 
@@ -38,8 +39,11 @@ def penalty(m, e):
     e = min(abs(e), _CEILING)
     over = e - m.hinge[0]
     e2 = e * e
-    if m.count[MANNER] == SOFT:
-        return e2 * e2 * e2
+    if m.count[MANNER] >= SOFT:
+        power = e2 * e2 * e2
+        if m.count[MANNER] >= FIRM:
+            power *= power
+        return power * power if m.count[MANNER] == HARD else power
     if m.count[MANNER] == EVEN:
         return e2 * e2 + (100.0 if e > 1.0 else 0.0)
     small = 1e-4 * e2 * e2 if e < 1.0 else 1e-4 * e2

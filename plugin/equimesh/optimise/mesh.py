@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FIXED", "FREE", "SLIDES", "Mesh", "build", "compact", "enlarged"]
+__all__ = ["FIXED", "FREE", "SLIDES", "Mesh", "build", "compact", "copied", "enlarged"]
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
 # How errors are priced (``energy.penalty``).
-SETTLE, SPREAD, SOFT, EVEN = 0, 1, 2, 3
+SETTLE, SPREAD, EVEN, SOFT, FIRM, HARD = 0, 1, 2, 3, 4, 5
 
 # Positions in Mesh.count.
 (
@@ -143,6 +143,11 @@ def compact(
     index = np.cumsum(live_v) - 1
     points = np.stack([mesh.x[live_v], mesh.y[live_v], mesh.z[live_v]], 1)
     return points, index[triangles], mesh.kind[live_v], mesh.side[live_v]
+
+
+def copied(mesh: Mesh) -> Mesh:
+    """The same mesh in arrays of its own."""
+    return mesh._replace(**{name: np.array(part) for name, part in mesh._asdict().items()})
 
 
 def enlarged(mesh: Mesh) -> Mesh:

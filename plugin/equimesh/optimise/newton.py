@@ -1,0 +1,318 @@
+"""All vertices at once: Gauss-Newton steps on the energy ``sum phi(e)`` of every error.
+
+Moves of one vertex at a time carry strain one spacing further with each visit, and stop where one
+vertex alone gains nothing; around a dislocation a whole neighbourhood has to give way. With slopes
+g of the errors by the places of their vertices the matrix is ``sum phi''(e) g g^T``, a 2 x 2 block
+for each vertex and each edge. Conjugate gradients solve it well enough (truncated Newton method,
+Nocedal and Wright, Numerical Optimization, ch. 7), damped after Levenberg and Marquardt. The mesh
+keeps its connectivity.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from equimesh.fields.compiled import compiled, inlined
+from equimesh.fields.dispatch import gradient
+from equimesh.fields.kernel import KernelField
+from equimesh.optimise.angles import angle_slope, by_angle
+from equimesh.optimise.energy import evaluate_all, lift, penalty
+from equimesh.optimise.mesh import (
+    FIRM,
+    FIXED,
+    FREE,
+    MANNER,
+    MODEL,
+    SLIDES,
+    SOFT,
+    TRIANGLES,
+    VERTICES,
+    Mesh,
+)
+from equimesh.optimise.model import alike, model_rise
+from equimesh.optimise.topology import ample
+
+__all__ = ["relax_together"]
+
+_CONJUGATE = 60  # conjugate gradients for one step
+_ENOUGH = 1e-5  # relative gain of a step below which the next is not worth its time
+
+
+@compiled
+def _total(m):
+    """Energy of all insides and edges, those of the border half."""
+    total = 0.0
+    for t in range(m.count[TRIANGLES]):
+        if m.tv[t, 0] >= 0:
+            edges = penalty(m, m.ee[t, 0]) + penalty(m, m.ee[t, 1]) + penalty(m, m.ee[t, 2])
+            total += penalty(m, m.ie[t]) + 0.5 * edges
+    return total
+
+
+@compiled
+def _derivatives(m, e):
+    """phi'(e) and phi''(e) of a power, e >= 0."""
+    e4 = e * e * e * e
+    if m.count[MANNER] == SOFT:
+        return 6.0 * e4 * e, 30.0 * e4
+    if m.count[MANNER] == FIRM:
+        return 12.0 * e4 * e4 * e * e * e, 132.0 * e4 * e4 * e * e
+    p22 = e4 * e4 * e4 * e4 * e4 * e * e
+    return 24.0 * p22 * e, 552.0 * p22
+
+
+@inlined
+def _slope(F, m, v, r, weight, x, y, exact):
+    """Derivative, by the place of v, of an error whose peak is at (x, y): the error there is
+    stationary in (x, y), so only the plane above it moves, v having this weight in it."""
+    if exact:
+        gx, gy = gradient(F, m.x[v], m.y[v])
+        hx, hy = gradient(F, x, y)
+        return weight * (hx - gx), weight * (hy - gy)
+    hx, hy = model_rise(m, v, r, x - m.x[v], y - m.y[v])
+    return weight * hx, weight * hy
+
+
+@inlined
+def _edge_slopes(F, m, tol, t, k, g):
+    """Slopes of the error of edge k of t into rows of ``g``, 0 for the third corner."""
+    i, j = k, (k + 1) % 3
+    a, b, s = m.tv[t, i], m.tv[t, j], m.ep[t, k]
+    sign = (1.0 if m.ee[t, k] > 0.0 else -1.0) / tol
+    exact = m.count[MODEL] == 0 or not alike(m, a, b)
+    x, y = m.x[a] + s * (m.x[b] - m.x[a]), m.y[a] + s * (m.y[b] - m.y[a])
+    g[i, 0], g[i, 1] = _slope(F, m, a, b, sign * (1.0 - s), x, y, exact)
+    g[j, 0], g[j, 1] = _slope(F, m, b, a, sign * s, x, y, exact)
+    g[(k + 2) % 3, 0] = g[(k + 2) % 3, 1] = 0.0
+
+
+@inlined
+def _inner_slopes(F, m, tol, t, g):
+    """Slopes of the error inside t, or of its angles' price, into ``g``."""
+    if by_angle(F, m, t):
+        for i in range(3):
+            v, p, q = m.tv[t, i], m.tv[t, (i + 1) % 3], m.tv[t, (i + 2) % 3]
+            g[i, 0], g[i, 1] = angle_slope(F, m, v, p, q)
+        return
+    a, b, c = m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]
+    x, y = m.ix[t], m.iy[t]
+    exact = m.count[MODEL] == 0 or not (alike(m, a, b) and alike(m, b, c) and alike(m, c, a))
+    area = (m.x[b] - m.x[a]) * (m.y[c] - m.y[a]) - (m.y[b] - m.y[a]) * (m.x[c] - m.x[a])
+    sign = (1.0 if m.ie[t] > 0.0 else -1.0) / (tol * area)
+    for i in range(3):
+        v, p, q = m.tv[t, i], m.tv[t, (i + 1) % 3], m.tv[t, (i + 2) % 3]
+        weight = (m.x[p] - x) * (m.y[q] - y) - (m.y[p] - y) * (m.x[q] - x)
+        g[i, 0], g[i, 1] = _slope(F, m, v, p, sign * weight, x, y, exact)
+
+
+@compiled
+def _assemble(F, m, tol, number, diagonal, beside, downhill, g):
+    """Blocks of the matrix and the negative gradient; ``number`` (t, 3) is the edge of a side."""
+    for v in range(m.count[VERTICES]):
+        diagonal[v, 0] = diagonal[v, 1] = diagonal[v, 2] = 0.0
+        downhill[v, 0] = downhill[v, 1] = 0.0
+    for n in range(beside.shape[0]):
+        beside[n, 0] = beside[n, 1] = beside[n, 2] = beside[n, 3] = 0.0
+    for t in range(m.count[TRIANGLES]):
+        if m.tv[t, 0] < 0:
+            continue
+        for k in range(4):  # three edges and the inside
+            share = 1.0
+            if k < 3:
+                if m.tn[t, k] > t:
+                    continue
+                e = abs(m.ee[t, k])
+                _edge_slopes(F, m, tol, t, k, g)
+                share = 0.5 if m.tn[t, k] < 0 else 1.0
+            else:
+                e = abs(m.ie[t])
+                if e < 0.3:
+                    continue
+                _inner_slopes(F, m, tol, t, g)
+            first, second = _derivatives(m, e)
+            _add(m, t, share * first, share * second, number, diagonal, beside, downhill, g)
+
+
+@inlined
+def _add(m, t, first, second, number, diagonal, beside, downhill, g):
+    """One error's part of the gradient and of the matrix, its slopes being the rows of ``g``."""
+    for i in range(3):
+        v = m.tv[t, i]
+        if m.kind[v] == FIXED:
+            g[i, 0] = g[i, 1] = 0.0
+        elif m.kind[v] == SLIDES:
+            side = m.sides[m.side[v]]
+            ux, uy = side[2] - side[0], side[3] - side[1]
+            along = (g[i, 0] * ux + g[i, 1] * uy) / (ux * ux + uy * uy)
+            g[i, 0], g[i, 1] = along * ux, along * uy
+        downhill[v, 0] -= first * g[i, 0]
+        downhill[v, 1] -= first * g[i, 1]
+        diagonal[v, 0] += second * g[i, 0] * g[i, 0]
+        diagonal[v, 1] += second * g[i, 0] * g[i, 1]
+        diagonal[v, 2] += second * g[i, 1] * g[i, 1]
+    for i in range(3):
+        j, n = (i + 1) % 3, number[t, i]
+        low, high = (i, j) if m.tv[t, i] < m.tv[t, j] else (j, i)
+        beside[n, 0] += second * g[low, 0] * g[high, 0]
+        beside[n, 1] += second * g[low, 0] * g[high, 1]
+        beside[n, 2] += second * g[low, 1] * g[high, 0]
+        beside[n, 3] += second * g[low, 1] * g[high, 1]
+
+
+@compiled
+def _number_edges(m, number, ends):
+    """Number every edge: ``number`` (t, 3); ``ends`` (e, 2), the lower vertex first."""
+    n = 0
+    for t in range(m.count[TRIANGLES]):
+        if m.tv[t, 0] < 0:
+            continue
+        for k in range(3):
+            u, a, b = m.tn[t, k], m.tv[t, k], m.tv[t, (k + 1) % 3]
+            if u > t:
+                continue
+            number[t, k] = n
+            ends[n, 0], ends[n, 1] = min(a, b), max(a, b)
+            for j in range(3):
+                if u >= 0 and m.tn[u, j] == t and m.tv[u, (j + 1) % 3] == a:
+                    number[u, j] = n
+            n += 1
+    return n
+
+
+@compiled
+def _times(diagonal, beside, ends, damping, x, out):
+    """``out`` = the damped matrix times x."""
+    more = 1.0 + damping
+    for v in range(x.shape[0]):
+        out[v, 0] = more * diagonal[v, 0] * x[v, 0] + diagonal[v, 1] * x[v, 1]
+        out[v, 1] = diagonal[v, 1] * x[v, 0] + more * diagonal[v, 2] * x[v, 1]
+    for n in range(ends.shape[0]):
+        a, b = ends[n, 0], ends[n, 1]
+        out[a, 0] += beside[n, 0] * x[b, 0] + beside[n, 1] * x[b, 1]
+        out[a, 1] += beside[n, 2] * x[b, 0] + beside[n, 3] * x[b, 1]
+        out[b, 0] += beside[n, 0] * x[a, 0] + beside[n, 2] * x[a, 1]
+        out[b, 1] += beside[n, 1] * x[a, 0] + beside[n, 3] * x[a, 1]
+
+
+@compiled
+def _precondition(diagonal, damping, r, out):
+    """Divide by the vertices' own blocks; what has none (fixed, gone) stays."""
+    for v in range(r.shape[0]):
+        a, b, c = (1.0 + damping) * diagonal[v, 0], diagonal[v, 1], (1.0 + damping) * diagonal[v, 2]
+        least = 1e-9 * (a + c)
+        a, c = a + least, c + least
+        det = a * c - b * b
+        if det > 0.0:
+            out[v, 0], out[v, 1] = (
+                (c * r[v, 0] - b * r[v, 1]) / det,
+                (a * r[v, 1] - b * r[v, 0]) / det,
+            )
+        else:
+            out[v, 0] = out[v, 1] = 0.0
+
+
+@compiled
+def _dot(x, y):
+    total = 0.0
+    for v in range(x.shape[0]):
+        total += x[v, 0] * y[v, 0] + x[v, 1] * y[v, 1]
+    return total
+
+
+@compiled
+def _solve(diagonal, beside, ends, damping, downhill, step, work):
+    """Conjugate gradients for the damped step; ``work`` (4, v, 2)."""
+    r, z, d, q = work[0], work[1], work[2], work[3]
+    for v in range(step.shape[0]):
+        for i in range(2):
+            step[v, i], r[v, i] = 0.0, downhill[v, i]
+    _precondition(diagonal, damping, r, z)
+    for v in range(step.shape[0]):
+        d[v, 0], d[v, 1] = z[v, 0], z[v, 1]
+    rz = first = _dot(r, z)
+    for _ in range(_CONJUGATE):
+        if not rz > 1e-6 * first:
+            break
+        _times(diagonal, beside, ends, damping, d, q)
+        dq = _dot(d, q)
+        if not dq > 0.0:
+            break
+        length = rz / dq
+        for v in range(step.shape[0]):
+            for i in range(2):
+                step[v, i] += length * d[v, i]
+                r[v, i] -= length * q[v, i]
+        _precondition(diagonal, damping, r, z)
+        before, rz = rz, _dot(r, z)
+        for v in range(step.shape[0]):
+            for i in range(2):
+                d[v, i] = z[v, i] + rz / before * d[v, i]
+
+
+@compiled
+def _walk(F, m, old, step):
+    """Put every vertex at its old place plus the step, except where a triangle would turn over."""
+    for v in range(m.count[VERTICES]):
+        if m.kind[v] != FREE and m.kind[v] != SLIDES:
+            continue
+        x, y = old[v, 0] + step[v, 0], old[v, 1] + step[v, 1]
+        if m.kind[v] == SLIDES:
+            side = m.sides[m.side[v]]
+            ux, uy = side[2] - side[0], side[3] - side[1]
+            along = ((x - side[0]) * ux + (y - side[1]) * uy) / (ux * ux + uy * uy)
+            x, y = side[0] + along * ux, side[1] + along * uy
+            if not 0.0 < along < 1.0:
+                x, y = old[v, 0], old[v, 1]
+        if not (math.isfinite(x) and math.isfinite(y) and lift(F, m, v, x, y)):
+            lift(F, m, v, old[v, 0], old[v, 1])
+    turned = True
+    while turned:
+        turned = False
+        for t in range(m.count[TRIANGLES]):
+            a, b, c = m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]
+            if a < 0 or ample(m.x[a], m.y[a], m.x[b], m.y[b], m.x[c], m.y[c]):
+                continue
+            for k in range(3):
+                v = m.tv[t, k]
+                if (m.kind[v] == FREE or m.kind[v] == SLIDES) and (
+                    m.x[v] != old[v, 0] or m.y[v] != old[v, 1]
+                ):
+                    lift(F, m, v, old[v, 0], old[v, 1])
+                    turned = True
+
+
+def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> int:
+    """Up to ``rounds`` steps in the mesh's manner, a power; returns how many lowered the energy.
+
+    The errors that the mesh has stored must be those of its vertices.
+    """
+    n = int(mesh.count[VERTICES])
+    number = np.zeros((int(mesh.count[TRIANGLES]), 3), np.int64)
+    ends = np.zeros((3 * len(number), 2), np.int64)
+    ends = ends[: _number_edges(mesh, number, ends)]
+    diagonal, beside = np.zeros((n, 3)), np.zeros((len(ends), 4))
+    downhill, step, work = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((4, n, 2))
+    energy, damping = _total(mesh), 1e-2
+    for done in range(rounds):
+        _assemble(field, mesh, tol, number, diagonal, beside, downhill, np.zeros((3, 2)))
+        old = np.stack([mesh.x[:n], mesh.y[:n]], 1)
+        now = math.inf
+        for _ in range(4):
+            _solve(diagonal, beside, ends, damping, downhill, step, work)
+            _walk(field, mesh, old, step)
+            evaluate_all(field, mesh, tol)
+            now = _total(mesh)
+            if now < energy:
+                break
+            damping *= 10.0
+        if not now < energy:
+            _walk(field, mesh, old, np.zeros((n, 2)))
+            evaluate_all(field, mesh, tol)
+            return done
+        damping = max(0.2 * damping, 1e-6)
+        if energy - now < _ENOUGH * energy:
+            return done + 1
+        energy = now
+    return rounds
