@@ -28,7 +28,6 @@ _FLAT = ((None, 0), (0.93, 0), (0.9, 0), (None, 1), (None, 2), (None, 3), (None,
 _CURVED = (
     (0.93, 0), (0.9, 0), (0.93, 1), (0.9, 1), (0.93, 2), (0.87, 0), (0.9, 2), (0.93, 3),
 )  # fmt: skip
-_CYCLED = 2  # drafts that go on from there
 
 
 def best_draft(
@@ -62,10 +61,10 @@ def best_draft(
         drafts = list(pool.map(drafted, (_FLAT if settled else _CURVED)[:number]))
         drafts.sort(key=lambda start: triangles_in(start.mesh))
         meshes = pool.map(
-            lambda start: cycled(kernel, start.mesh, start.aim, effort), drafts[:_CYCLED]
+            lambda start: cycled(kernel, start.mesh, start.aim, effort), drafts[: how.kept]
         )
         drafts = [
             dataclasses.replace(start, mesh=mesh)
-            for start, mesh in zip(drafts[:_CYCLED], meshes, strict=True)
+            for start, mesh in zip(drafts[: how.kept], meshes, strict=True)
         ]
     return min(drafts, key=lambda start: triangles_in(start.mesh))

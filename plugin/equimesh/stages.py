@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from equimesh.compiling import announced
 from equimesh.errors import Cancelled
 
 __all__ = ["Stages"]
@@ -33,6 +34,7 @@ class Stages:
                 raise Cancelled("Cancelled by the caller.")
 
         report(0.0)
-        yield report
+        with announced():
+            yield report
         report(1.0)
         self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start

@@ -39,7 +39,7 @@ __all__ = ["anneal", "exchange", "press"]
 # For each power p: (p - 1) times the energy of a lattice triangle of error 1, in the mean of the
 # convex and the saddle lattice. Then an error of 1 has the least energy in a given area.
 _PRICE = {SOFT: 7.0, FIRM: 13.5, HARD: 28.0}
-_VISITS = 60  # of vertices around an insertion or removal that is tried
+_VISITS = 60  # of vertices around an exchange while crystals form
 _OFF = 1.5  # triangles too few or too many around a vertex that make an exchange worth a trial
 _ROUNDS = 4  # of exchanges
 _LASTING = 3e-3  # flips for each triangle below which steps of all vertices no longer matter
@@ -139,13 +139,22 @@ def anneal(field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queu
     relax_everything(field, mesh, error * tol, queue, 10)
     mesh.count[MANNER] = SETTLE
     for manner, aim in ((SOFT, error), (FIRM, max(error, 0.95)), (HARD, max(error, 0.97))):
-        exchange(field, mesh, tol, aim, queue, manner)
+        exchange(field, mesh, tol, aim, queue, _VISITS, manner)
 
 
 def exchange(
-    field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queue, manner: int = HARD
+    field: KernelField,
+    mesh: Mesh,
+    tol: float,
+    error: float,
+    queue: Queue,
+    visits: int,
+    manner: int = HARD,
 ) -> None:
-    """Rounds of exchanges for ``error`` in one manner, all vertices relaxed before and after."""
+    """Rounds of exchanges for ``error`` in one manner, all vertices relaxed before and after.
+
+    ``visits``: how many moves of vertices around an exchange may make it pay.
+    """
     mesh.count[MANNER] = manner
     aim = error * tol
     evaluate_all(field, mesh, aim)
@@ -158,7 +167,7 @@ def exchange(
         off = np.flatnonzero(np.abs(waste) > _OFF)
         order = off[np.argsort(-np.abs(waste[off]), kind="stable")]
         kept = _exchange(
-            field, mesh, aim, queue, candidates[order], waste[order], _VISITS, stamp, number,
+            field, mesh, aim, queue, candidates[order], waste[order], visits, stamp, number,
             _PRICE[manner],
         )  # fmt: skip
         if kept == 0:

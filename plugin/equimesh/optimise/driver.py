@@ -77,8 +77,8 @@ class Effort:
     ``drafts``: at most so many first meshes are tried on Taylor's errors, with about ``triangles``
     in all of them together, each with ``rounds`` of removal and at most ``visits`` moves of
     vertices around every trial; ``last_rounds`` and ``last_visits`` the same for the best of them
-    on the true errors. In between the best drafts go through ``cycles`` of exchange and repair, as
-    many as ``cycled`` triangles allow.
+    on the true errors. In between the ``kept`` best drafts go through ``cycles`` of exchange and
+    repair, as many as ``cycled`` triangles allow.
     """
 
     drafts: int
@@ -87,14 +87,15 @@ class Effort:
     visits: int
     last_rounds: int
     last_visits: int
+    kept: int
     cycles: int
     cycled: int
 
 
 EFFORTS = {
-    "fast": Effort(1, 0, 2, 60, 0, 0, 0, 0),
-    "balanced": Effort(5, 10_000, 6, 120, 2, 60, 8, 40_000),
-    "best": Effort(8, 60_000, 20, 300, 20, 600, 80, 300_000),
+    "fast": Effort(1, 0, 2, 60, 0, 0, 1, 0, 0),
+    "balanced": Effort(5, 10_000, 6, 120, 2, 60, 2, 8, 40_000),
+    "best": Effort(8, 60_000, 20, 300, 20, 600, 4, 80, 300_000),
 }
 
 
@@ -148,7 +149,7 @@ def cycled(field: KernelField, mesh: Mesh, tol: float, effort: str) -> Mesh:
         error = _LEAST + (1.0 - _LEAST) * math.fmod(_GOLDEN * (number + 1), 1.0)
         mesh = copied(best)
         with modelled(field, mesh):
-            exchange(field, mesh, tol, error, make_queue(len(mesh.x)))
+            exchange(field, mesh, tol, error, make_queue(len(mesh.x)), how.visits)
             evaluate_all(field, mesh, tol)
             press(field, mesh, tol)
             _spread_violations(field, mesh, tol)
