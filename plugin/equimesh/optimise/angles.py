@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from equimesh.fields.compiled import compiled
+from equimesh.fields.compiled import compiled, inlined
 from equimesh.optimise.mesh import FIXED
 
 __all__ = ["angle_price", "angle_slope", "by_angle"]
@@ -21,36 +21,33 @@ _SAME = 1e-9  # of coordinates of about 1 or more: nearer than this is the same 
 
 
 @compiled
-def _floor_at(F, m, v):
-    """Sine of the floor at vertex v."""
-    least = F.shape[0]
-    count = F.sharp.shape[0]
-    if count == 0 or m.kind[v] != FIXED:
+def _floor_at(shape, sharp, kind, x, y):
+    """Sine of the floor at a vertex at (x, y)."""
+    least = shape[0]
+    count = sharp.shape[0]
+    if count == 0 or kind != FIXED:
         return least
-    x, y = m.x[v], m.y[v]
     reach = _SAME * max(1.0, abs(x), abs(y))
     low, high = 0, count
     while low < high:
         middle = (low + high) // 2
-        if F.sharp[middle, 0] < x - reach:
+        if sharp[middle, 0] < x - reach:
             low = middle + 1
         else:
             high = middle
-    while low < count and F.sharp[low, 0] <= x + reach:
-        if abs(F.sharp[low, 1] - y) <= reach:
-            return F.sharp[low, 2]
+    while low < count and sharp[low, 0] <= x + reach:
+        if abs(sharp[low, 1] - y) <= reach:
+            return sharp[low, 2]
         low += 1
     return least
 
 
 @compiled
-def angle_price(F, m, a, b, c):
-    """Largest price of the angles of the triangle a, b, c; 0 where there is no floor."""
-    if F.shape.shape[0] == 0:
-        return 0.0
-    p, q, r = F.shape[1], F.shape[2], F.shape[3]
-    ux, uy = p * (m.x[b] - m.x[a]) + q * (m.y[b] - m.y[a]), r * (m.y[b] - m.y[a])
-    vx, vy = p * (m.x[c] - m.x[b]) + q * (m.y[c] - m.y[b]), r * (m.y[c] - m.y[b])
+def _price(shape, sharp, kind, mx, my, a, b, c):
+    """Largest price of the angles of the triangle a, b, c."""
+    p, q, r = shape[1], shape[2], shape[3]
+    ux, uy = p * (mx[b] - mx[a]) + q * (my[b] - my[a]), r * (my[b] - my[a])
+    vx, vy = p * (mx[c] - mx[b]) + q * (my[c] - my[b]), r * (my[c] - my[b])
     wx, wy = -ux - vx, -uy - vy
     cross = abs(ux * vy - uy * vx)
     u, v, w = math.hypot(ux, uy), math.hypot(vx, vy), math.hypot(wx, wy)
@@ -59,35 +56,47 @@ def angle_price(F, m, a, b, c):
     price = 0.0
     # An obtuse angle's sine says nothing: then one of the others is smaller.
     if ux * wx + uy * wy < 0.0:
-        price = _floor_at(F, m, a) * u * w
+        price = _floor_at(shape, sharp, kind[a], mx[a], my[a]) * u * w
     if ux * vx + uy * vy < 0.0:
-        price = max(price, _floor_at(F, m, b) * u * v)
+        price = max(price, _floor_at(shape, sharp, kind[b], mx[b], my[b]) * u * v)
     if vx * wx + vy * wy < 0.0:
-        price = max(price, _floor_at(F, m, c) * v * w)
+        price = max(price, _floor_at(shape, sharp, kind[c], mx[c], my[c]) * v * w)
     return price / cross
 
 
-@compiled
+# The whole field and mesh are hundreds of numbers: only what is needed is passed on.
+@inlined
+def angle_price(F, m, a, b, c):
+    """Largest price of the angles of the triangle a, b, c, where there is a floor."""
+    return _price(F.shape, F.sharp, m.kind, m.x, m.y, a, b, c)
+
+
+@inlined
 def by_angle(F, m, t):
     """Whether the price of t's inside is that of its angles."""
-    if F.shape.shape[0] == 0:
-        return False
-    return angle_price(F, m, m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]) >= abs(m.ie[t])
+    return F.shape.shape[0] > 0 and angle_price(F, m, m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]) >= abs(
+        m.ie[t]
+    )
+
+
+@inlined
+def angle_slope(F, m, v, p, q):
+    """Derivatives of the price of the triangle v, p, q by v's place."""
+    return _slope(F.shape, F.sharp, m.kind, m.x, m.y, v, p, q)
 
 
 @compiled
-def angle_slope(F, m, v, p, q):
-    """Derivatives of the price of the triangle v, p, q by v's place."""
-    x, y = m.x[v], m.y[v]
-    step = 1e-5 * max(abs(m.x[p] - x), abs(m.y[p] - y), abs(m.x[q] - x), abs(m.y[q] - y))
-    m.x[v] = x + step
-    dx = angle_price(F, m, v, p, q)
-    m.x[v] = x - step
-    dx -= angle_price(F, m, v, p, q)
-    m.x[v] = x
-    m.y[v] = y + step
-    dy = angle_price(F, m, v, p, q)
-    m.y[v] = y - step
-    dy -= angle_price(F, m, v, p, q)
-    m.y[v] = y
+def _slope(shape, sharp, kind, mx, my, v, p, q):
+    x, y = mx[v], my[v]
+    step = 1e-5 * max(abs(mx[p] - x), abs(my[p] - y), abs(mx[q] - x), abs(my[q] - y))
+    mx[v] = x + step
+    dx = _price(shape, sharp, kind, mx, my, v, p, q)
+    mx[v] = x - step
+    dx -= _price(shape, sharp, kind, mx, my, v, p, q)
+    mx[v] = x
+    my[v] = y + step
+    dy = _price(shape, sharp, kind, mx, my, v, p, q)
+    my[v] = y - step
+    dy -= _price(shape, sharp, kind, mx, my, v, p, q)
+    my[v] = y
     return 0.5 * dx / step, 0.5 * dy / step

@@ -105,13 +105,9 @@ def _flip_around(F, m, tol, v):
     for _ in range(20):
         n, _ = star(m, v)
         done = True
-        for i in range(n):
-            t, k = m.ring[1, i], m.ring[2, i]
+        for i in range(2 * n):  # the spoke and the rim of each triangle
+            t, k = m.ring[1, i >> 1], (m.ring[2, i >> 1] + (i & 1)) % 3
             if penalty(m, m.ee[t, k]) + penalty(m, m.ie[t]) > _IDLE and try_flip(F, m, tol, t, k):
-                done = False
-                break
-            k1 = (k + 1) % 3
-            if penalty(m, m.ee[t, k1]) + penalty(m, m.ie[t]) > _IDLE and try_flip(F, m, tol, t, k1):
                 done = False
                 break
         if done:
