@@ -66,7 +66,7 @@ _IDLE = 20  # cycles without a gain after which there is no more
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
 # Removals tried by focused search at ``best``: in all, and rounds at least and at most. It stops
 # when so many rounds in a row have each taken out less than this share of the vertices.
-_TRIALS, _FEWEST_ROUNDS, _MOST_ROUNDS = 250_000, 8, 100
+_TRIALS, _FEWEST_ROUNDS, _MOST_ROUNDS = 1_000_000, 8, 400
 _IDLE_ROUNDS, _IDLE_SHARE = 5, 2e-4
 
 
@@ -189,12 +189,14 @@ def _spread_violations(field: KernelField, mesh: Mesh, tol: float) -> None:
 
 def _completed(field: KernelField, mesh: Mesh, tol: float, effort: str) -> Mesh:
     """Violations mended by moves and insertions; then vertices removed that can be spared."""
-    how = EFFORTS[effort]
     queue = make_queue(len(mesh.x))
     relax_all(field, mesh, tol, queue, 40)
     mesh = _lower_errors(field, mesh, tol, queue)
     if violations(mesh, 1.0)[0] == 0:
-        _remove(field, mesh, tol, how.rounds, how.visits, lambda _: None)
+        for level, how in EFFORTS.items():  # what less effort removes goes first
+            _remove(field, mesh, tol, how.rounds, how.visits, lambda _: None)
+            if level == effort:
+                break
     return mesh
 
 
