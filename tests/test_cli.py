@@ -23,6 +23,7 @@ JACKSBORO = Path(get_data_path()) / "sample_data" / "jacksboro_fault_dem.npz"
 KEYS = {
     "status", "tol", "triangles", "vertices", "max_error", "error_bound", "quantiles",
     "lower_bound", "efficiency", "seed", "seconds", "version", "bound", "smallest_angles",
+    "norm",
 }  # fmt: skip
 
 

@@ -28,7 +28,6 @@ __all__ = ["FirstMesh", "first_mesh"]
 # between the lattice's errors, the optimiser's hinge, its aim and the tolerance itself.
 _SLACK = 0.5  # over the square root of the number of triangles, at most
 _MOST_SLACK = 0.015
-_EXACT = 1.0 - 1e-9  # of the tolerance on data, whose errors are exact
 _MOST = 2e7  # triangles that memory is meant to hold
 
 
@@ -124,8 +123,7 @@ def first_mesh(
             step_aside(kernel, mesh, _aim(tol, slack) * (error or 1.0))
     if error is None:
         mesh.hinge[0] = 1.0 - slack
-    aim = _aim(tol, slack) if kernel.kind == PATCHES else tol * _EXACT
-    return FirstMesh(mesh, sides, corner_of, aim, settled)
+    return FirstMesh(mesh, sides, corner_of, _aim(tol, slack), settled)
 
 
 class _Ring(NamedTuple):
