@@ -19,20 +19,24 @@ class _Watch(event.Listener):  # type: ignore[misc]
     """Adds up the time that compilation takes and says so once, when it is long."""
 
     def __init__(self) -> None:
-        self.begun = 0.0
+        self.begun: list[float] = []  # of those under way: compiling one kernel may ask for others
+        self.spent = 0.0
         self.told = False
 
     def on_start(self, event: Any) -> None:
         now = time.perf_counter()
-        self.begun = self.begun or now
-        if not self.told and now - self.begun > _PATIENCE:
+        spent = self.spent + (now - self.begun[0] if self.begun else 0.0)
+        self.begun.append(now)
+        if not self.told and spent > _PATIENCE:
             self.told = True
             logging.getLogger("equimesh").warning(
                 "equimesh is compiling its kernels: a minute or two, once after installation."
             )
 
     def on_end(self, event: Any) -> None:
-        """Nothing: the next start looks at the clock."""
+        begun = self.begun.pop()
+        if not self.begun:
+            self.spent += time.perf_counter() - begun
 
 
 @contextmanager

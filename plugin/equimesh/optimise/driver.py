@@ -131,8 +131,7 @@ def draft(field: KernelField, mesh: Mesh, tol: float, effort: str, annealed: flo
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         if annealed is not None:
-            press(field, mesh, tol)
-            _spread_violations(field, mesh, tol)
+            _even_strain(field, mesh, tol)
         return _completed(field, mesh, tol, effort)
 
 
@@ -151,8 +150,7 @@ def cycled(field: KernelField, mesh: Mesh, tol: float, effort: str) -> Mesh:
         with modelled(field, mesh):
             exchange(field, mesh, tol, error, make_queue(len(mesh.x)), how.visits)
             evaluate_all(field, mesh, tol)
-            press(field, mesh, tol)
-            _spread_violations(field, mesh, tol)
+            _even_strain(field, mesh, tol)
             mesh = _completed(field, mesh, tol, effort)
             good = violations(mesh, 1.0)[0] == 0
         idle += 1
@@ -180,8 +178,9 @@ def _pressed(field: KernelField, mesh: Mesh, tol: float) -> Mesh:
     return trial if violations(trial, 1.0)[0] < before else mesh
 
 
-def _spread_violations(field: KernelField, mesh: Mesh, tol: float) -> None:
-    """Relax where strain may spread: in a mesh that is no settled lattice."""
+def _even_strain(field: KernelField, mesh: Mesh, tol: float) -> None:
+    """Press and relax where strain may spread: in a mesh that is no settled lattice."""
+    press(field, mesh, tol)
     mesh.count[MANNER] = SPREAD
     relax_all(field, mesh, tol, make_queue(len(mesh.x)), 60)
     mesh.count[MANNER] = SETTLE
@@ -284,7 +283,7 @@ def _refine(field: KernelField, mesh: Mesh, tol: float) -> Mesh:
     times its number. Beyond that the surface has a jump, and the rest is left violated.
     """
     if field.kind == PATCHES:
-        most = 3 * int((mesh.tv[:, 0] >= 0).sum())
+        most = 3 * triangles_in(mesh)
     else:
         most = 8 * (field.grid.size + len(field.triangles))
     while True:
