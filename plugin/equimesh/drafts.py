@@ -22,12 +22,9 @@ from equimesh.optimise.driver import EFFORTS, cycled, draft, seam_share, triangl
 __all__ = ["best_draft"]
 
 _SEAMS = 0.08  # above this share of violated triangles a lattice had better be annealed
-# What to try, the most promising first: the error to anneal for in units of the tolerance (None:
-# leave the lattice as it is laid), and where and how turned the lattice starts.
-_FLAT = ((None, 0), (0.93, 0), (0.9, 0), (None, 1), (None, 2), (None, 3), (None, 4), (None, 5))
-_CURVED = (
-    (0.93, 0), (0.9, 0), (0.93, 1), (0.9, 1), (0.93, 2), (0.87, 0), (0.9, 2), (0.93, 3),
-)  # fmt: skip
+# Errors to anneal lattices for, in units of the tolerance; the denser the lattice, the lower.
+_ERRORS = (0.93, 0.9, 0.93, 0.87)
+_FITTING = 4  # as many lattices cost what one that must be annealed does
 
 
 def best_draft(
@@ -46,25 +43,22 @@ def best_draft(
         return lattice
     settled = seam_share(kernel, lattice.mesh, lattice.aim) <= _SEAMS
     how = EFFORTS[effort]
-    most = 2 * how.triangles if settled else how.triangles  # lattices that fit cost little
-    number = max(1, min(how.drafts, most // size))
+    number, cost = how.drafts, float(size)
+    if settled:
+        number, cost = how.lattices, cost / _FITTING
+    number = max(1, min(number, int(how.triangles // cost)))
 
-    def drafted(what: tuple[float | None, int]) -> FirstMesh:
-        error, turn = what
+    def drafted(turn: int) -> FirstMesh:
+        error = None if settled else _ERRORS[turn % len(_ERRORS)]
         start = lattice
-        if what != (None, 0):
+        if turn > 0 or not settled:
             start = first_mesh(surface, kernel, sides, frame, tol, error, two_sided, turn)
         return dataclasses.replace(start, mesh=draft(kernel, start.mesh, start.aim, effort, error))
 
-    workers = min(numba.config.NUMBA_NUM_THREADS, number)
-    with ThreadPoolExecutor(workers) as pool:
-        drafts = list(pool.map(drafted, (_FLAT if settled else _CURVED)[:number]))
-        drafts.sort(key=lambda start: triangles_in(start.mesh))
-        meshes = pool.map(
-            lambda start: cycled(kernel, start.mesh, start.aim, effort), drafts[: how.kept]
-        )
-        drafts = [
-            dataclasses.replace(start, mesh=mesh)
-            for start, mesh in zip(drafts[: how.kept], meshes, strict=True)
-        ]
-    return min(drafts, key=lambda start: triangles_in(start.mesh))
+    best: list[FirstMesh] = []
+    with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:
+        for start in pool.map(drafted, range(number)):
+            best = sorted([*best, start], key=lambda start: triangles_in(start.mesh))[: how.kept]
+        meshes = list(pool.map(lambda start: cycled(kernel, start.mesh, start.aim, effort), best))
+    start, mesh = min(zip(best, meshes, strict=True), key=lambda pair: triangles_in(pair[1]))
+    return dataclasses.replace(start, mesh=mesh)

@@ -28,6 +28,7 @@ __all__ = ["FirstMesh", "first_mesh"]
 # between the lattice's errors, the optimiser's hinge, its aim and the tolerance itself.
 _SLACK = 0.5  # over the square root of the number of triangles, at most
 _MOST_SLACK = 0.015
+_SLACKS = (1.0, 0.6)  # how much of it lattices take in turn: with luck less is enough
 _MOST = 2e7  # triangles that memory is meant to hold
 
 
@@ -63,7 +64,7 @@ def first_mesh(
     ``error``: that of the lattice's triangles in units of the tolerance; None makes it a little
     less than the optimiser's hinge, so that they are left alone. ``two_sided``: vertices may leave
     the surface; where it is convex or concave they start beyond it (``kernel`` must know it).
-    ``turn`` numbers lattices that start elsewhere and turned.
+    ``turn`` numbers lattices that start elsewhere, turned, with more or less to spare.
     """
     sides = _handed(sides, frame)
     local = dataclasses.replace(
@@ -89,6 +90,7 @@ def first_mesh(
                 "domain in parts."
             )
         slack = min(_MOST_SLACK, _SLACK / math.sqrt(max(expected, 1.0)))
+        slack *= _SLACKS[turn % len(_SLACKS)]
         reached = 1.0 - 1.2 * slack
         height = tol if error is None else tol * error / reached
         nodes = boundary_nodes(kernel, local, height, floor)

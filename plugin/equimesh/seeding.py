@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,10 @@ __all__ = ["lattice_points"]
 _GAP = 0.2
 # Two vertices of fronts that meet closer than this are one.
 _MERGE = 0.65
+# A saddle's lattice is its own image after this boost, and one turned by an angle less than that
+# meets the boundary otherwise.
+_PERIOD = math.asinh(0.5)
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 def lattice_points(
@@ -41,8 +47,8 @@ def lattice_points(
     expected
         About how many vertices will be laid; three times as many are the limit.
     turn
-        Which of the quasi-random seeds comes first; its gauge (a rotation, or a boost where the
-        surface is a saddle) is as many times 0.4.
+        Which of the quasi-random seeds comes first, and which of a quasi-random sequence of gauges
+        (rotations, or boosts where the surface is a saddle) all seeds have.
     start
         (k, 3) places and gauges to try as seeds before the quasi-random ones.
     obstacles
@@ -67,7 +73,7 @@ def lattice_points(
     strips = strips_of(segments)
     seeds = _halton(max(64, 2 * expected)) * (high - low) + low
     seeds = np.hstack([seeds, np.zeros((len(seeds), 1))])
-    seeds[:, 2] = 0.4 * turn
+    seeds[:, 2] = math.fmod(_GOLDEN * turn, 1.0) * _PERIOD
     seeds[[0, turn]] = seeds[[turn, 0]]
     if start is not None:
         seeds = np.vstack([start, seeds])

@@ -74,13 +74,14 @@ _IDLE_ROUNDS, _IDLE_SHARE = 5, 2e-4
 class Effort:
     """How long to look for vertices that can go.
 
-    ``drafts``: at most so many first meshes are tried on Taylor's errors, with about ``triangles``
-    in all of them together, each with ``rounds`` of removal and at most ``visits`` moves of
-    vertices around every trial; ``last_rounds`` and ``last_visits`` the same for the best of them
-    on the true errors. In between the ``kept`` best drafts go through ``cycles`` of exchange and
-    repair, as many as ``cycled`` triangles allow.
+    ``lattices``: at most so many first meshes are tried where lattices fit, ``drafts`` where they
+    must be annealed, as many as ``triangles`` allow. Taylor's errors guide them, with ``rounds`` of
+    removal and at most ``visits`` moves of vertices around every trial; ``last_rounds`` and
+    ``last_visits`` the same for the best of them on the true errors. In between the ``kept`` best
+    drafts go through ``cycles`` of exchange and repair, as many as ``cycled`` triangles allow.
     """
 
+    lattices: int
     drafts: int
     triangles: int
     rounds: int
@@ -93,9 +94,9 @@ class Effort:
 
 
 EFFORTS = {
-    "fast": Effort(1, 0, 2, 60, 0, 0, 1, 0, 0),
-    "balanced": Effort(5, 10_000, 6, 120, 2, 60, 2, 8, 40_000),
-    "best": Effort(8, 60_000, 20, 300, 20, 600, 4, 80, 300_000),
+    "fast": Effort(1, 1, 0, 2, 60, 0, 0, 1, 0, 0),
+    "balanced": Effort(8, 1, 3_000, 1, 60, 1, 60, 1, 4, 16_000),
+    "best": Effort(200, 24, 60_000, 20, 300, 20, 600, 4, 80, 300_000),
 }
 
 

@@ -37,7 +37,7 @@ from equimesh.optimise.topology import ample
 __all__ = ["relax_together"]
 
 _CONJUGATE = 60  # conjugate gradients for one step
-_ENOUGH = 1e-5  # relative gain of a step below which the next is not worth its time
+_ENOUGH = 2e-3  # relative gain of a step below which the next is not worth its time
 
 
 @compiled
