@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.compiled import compiled
+from equimesh.fields.reference import by_reference
 from equimesh.optimise.energy import penalty
 from equimesh.optimise.mesh import GONE
 from equimesh.optimise.moves import move_vertex, try_flip
@@ -18,6 +19,7 @@ __all__ = ["Queue", "make_queue", "push", "push_violated", "relax", "take"]
 _IDLE = 1e-3  # a star with a smaller penalty is left alone
 
 
+@by_reference
 class Queue(NamedTuple):
     """First in, first out; ``waiting`` marks members, ``visits`` counts within an epoch."""
 
