@@ -35,10 +35,6 @@ class Reference(types.Type):  # type: ignore[misc]
         self.made_by, self.fields = made_by, fields
         super().__init__(f"{made_by.__module__}.{made_by.__name__}&{fields}")
 
-    @property
-    def key(self) -> tuple[Any, ...]:
-        return self.made_by, self.fields
-
 
 def by_reference(named_tuple: _Tuple) -> _Tuple:
     """Class decorator: kernels are given its instances by reference."""
