@@ -9,9 +9,9 @@ from numba import njit, types
 
 __all__ = ["compiled", "inlined"]
 
-# Numba counts references to every array of a KernelField in every function that is given one, which
-# costs more than a short walk over its cells. Kernels neither allocate nor keep arrays, so they do
-# without (``_nrt``); the caller holds the arrays. Division by zero gives inf or NaN.
+# Numba counts references to every array that a function takes from a KernelField, which costs more
+# than a short walk over its cells. Kernels neither allocate nor keep arrays, so they do without
+# (``_nrt``); the caller holds the arrays. Division by zero gives inf or NaN.
 _HOW: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
 
 
@@ -31,5 +31,5 @@ def compiled(kernel: Callable[..., Any]) -> Any:
     return made
 
 
-# For parts of a kernel that are given the whole field: passing it on means copying it.
+# For parts of one kernel that are not worth the compiler's time for a kernel of their own.
 inlined = njit(**_HOW, inline="always")
