@@ -11,11 +11,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from equimesh.fields.reference import by_reference
+
 __all__ = ["PATCHES", "RASTER", "SURFACE", "KernelField"]
 
 PATCHES, RASTER, SURFACE = 0, 1, 2
 
 
+@by_reference
 class KernelField(NamedTuple):
     """Arrays of a field in local coordinates; those that a kind does not use stay empty.
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from equimesh.fields.compiled import compiled, inlined
+from equimesh.fields.compiled import compiled
 from equimesh.optimise.mesh import FIXED
 
 __all__ = ["angle_price", "angle_slope", "by_angle"]
@@ -64,14 +64,13 @@ def _price(shape, sharp, kind, mx, my, a, b, c):
     return price / cross
 
 
-# The whole field and mesh are hundreds of numbers: only what is needed is passed on.
-@inlined
+@compiled
 def angle_price(F, m, a, b, c):
     """Largest price of the angles of the triangle a, b, c, where there is a floor."""
     return _price(F.shape, F.sharp, m.kind, m.x, m.y, a, b, c)
 
 
-@inlined
+@compiled
 def by_angle(F, m, t):
     """Whether the price of t's inside is that of its angles."""
     return F.shape.shape[0] > 0 and angle_price(F, m, m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]) >= abs(
@@ -79,7 +78,7 @@ def by_angle(F, m, t):
     )
 
 
-@inlined
+@compiled
 def angle_slope(F, m, v, p, q):
     """Derivatives of the price of the triangle v, p, q by v's place."""
     return _slope(F.shape, F.sharp, m.kind, m.x, m.y, v, p, q)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from equimesh.fields.compiled import compiled, inlined
+from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import edge_error, inner_error, value
 from equimesh.fields.patch_kernels import derivatives2
 from equimesh.optimise.angles import angle_price
@@ -81,7 +81,7 @@ def edge_of(F, m, tol, a, b):
     return e / tol, s
 
 
-@inlined
+@compiled
 def _inner_error(F, m, tol, a, b, c):
     """(signed error / tol, x, y) inside the triangle a, b, c."""
     if m.count[MODEL] == 1 and alike(m, a, b) and alike(m, b, c) and alike(m, c, a):
@@ -103,7 +103,7 @@ def _inner_error(F, m, tol, a, b, c):
     return e / tol, x, y
 
 
-@inlined
+@compiled
 def inner_of(F, m, tol, a, b, c):
     """(signed error / tol, x, y) inside the triangle a, b, c, or its angles' price if larger."""
     e, x, y = _inner_error(F, m, tol, a, b, c)
@@ -128,7 +128,7 @@ def set_edge(m, t, k, e, s):
                 return
 
 
-@inlined
+@compiled
 def set_inner(F, m, tol, t):
     m.ie[t], m.ix[t], m.iy[t] = inner_of(F, m, tol, m.tv[t, 0], m.tv[t, 1], m.tv[t, 2])
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import edge_error, inner_error
+from equimesh.fields.reference import by_reference
 from equimesh.optimise.energy import ROOM, lift, worst_of
 from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, LOG_T, SLIDES, Mesh
 from equimesh.optimise.moves import store_star
@@ -52,6 +53,7 @@ _UPRIGHT = 0.3
 _FINEST = 5.0  # moves are between 1 and exp(-_FINEST) edges long, evenly in the logarithm
 
 
+@by_reference
 class Search(NamedTuple):
     """Scratch of a search on a mesh with t slots for triangles."""
 

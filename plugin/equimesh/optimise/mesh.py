@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from equimesh.fields.reference import by_reference
+
 __all__ = ["FIXED", "FREE", "SLIDES", "Mesh", "build", "compact", "copied", "enlarged"]
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
@@ -35,6 +37,7 @@ SETTLE, SPREAD, EVEN, SOFT, FIRM, HARD = 0, 1, 2, 3, 4, 5
 ) = range(13)
 
 
+@by_reference
 class Mesh(NamedTuple):
     """Arrays of a mesh in local coordinates; slots beyond ``count`` are spare."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from equimesh.fields.compiled import compiled, inlined
+from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import gradient
 from equimesh.fields.kernel import PATCHES
 from equimesh.optimise.angles import angle_slope, by_angle
@@ -22,7 +22,7 @@ from equimesh.optimise.topology import ample, flip, note_triangle, note_vertex, 
 __all__ = ["move_vertex", "star_energy", "try_flip"]
 
 
-@inlined
+@compiled
 def try_flip(F, m, tol, t, k):
     """Flip edge k of t if that lowers the penalty of the edge and the two insides."""
     u = m.tn[t, k]

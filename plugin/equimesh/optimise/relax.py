@@ -8,16 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.compiled import compiled
+from equimesh.fields.reference import by_reference
 from equimesh.optimise.energy import penalty
-from equimesh.optimise.mesh import GONE
+from equimesh.optimise.mesh import GONE, VERTICES
 from equimesh.optimise.moves import move_vertex, try_flip
 from equimesh.optimise.topology import room_left, star
 
-__all__ = ["Queue", "make_queue", "push", "push_violated", "relax", "take"]
+__all__ = ["Queue", "make_queue", "push", "push_all", "push_violated", "relax", "take"]
 
 _IDLE = 1e-3  # a star with a smaller penalty is left alone
 
 
+@by_reference
 class Queue(NamedTuple):
     """First in, first out; ``waiting`` marks members, ``visits`` counts within an epoch."""
 
@@ -80,6 +82,13 @@ def take(m, q, per_vertex):
             q.visits[v] += 1
             return v
     return -1
+
+
+@compiled
+def push_all(m, q):
+    """All vertices in the order of their numbers."""
+    for v in range(m.count[VERTICES]):
+        push(q, v)
 
 
 @compiled

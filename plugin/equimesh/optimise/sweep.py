@@ -7,16 +7,16 @@ import math
 import numpy as np
 from numba import njit
 
-from equimesh.fields.compiled import compiled
-from equimesh.fields.kernel import PATCHES
+from equimesh.fields.compiled import compiled, inlined
+from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.fields.patch_kernels import derivatives2
 from equimesh.optimise.angles import by_angle
 from equimesh.optimise.centres import split_for_angle
 from equimesh.optimise.energy import ROOM, penalty, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
-from equimesh.optimise.mesh import FREE, MANNER, SETTLE, SLIDES, SPREAD
+from equimesh.optimise.mesh import FREE, MANNER, SETTLE, SLIDES, SPREAD, Mesh
 from equimesh.optimise.moves import try_flip
-from equimesh.optimise.relax import clear, push, push_violated, relax
+from equimesh.optimise.relax import Queue, clear, push, push_all, push_violated, relax
 from equimesh.optimise.removal import remove_if_clean, remove_vertex, touched_excess
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 
@@ -112,21 +112,19 @@ def split_borders(F, m, tol):
     return made
 
 
-@compiled
-def relax_all(F, m, tol, q, per_vertex):
+# Each kernel's code has that of all kernels that it calls: what ends in one call is left to Python.
+def relax_all(F: KernelField, m: Mesh, tol: float, q: Queue, per_vertex: int) -> None:
     """Relax around every violation."""
     clear(q)
     push_violated(m, q)
-    return relax(F, m, tol, q, 1 << 60, per_vertex)
+    relax(F, m, tol, q, 1 << 60, per_vertex)
 
 
-@compiled
-def relax_everything(F, m, tol, q, per_vertex):
+def relax_everything(F: KernelField, m: Mesh, tol: float, q: Queue, per_vertex: int) -> None:
     """Relax around every vertex."""
     clear(q)
-    for v in range(m.count[1]):
-        push(q, v)
-    return relax(F, m, tol, q, 1 << 60, per_vertex)
+    push_all(m, q)
+    relax(F, m, tol, q, 1 << 60, per_vertex)
 
 
 @compiled
@@ -260,7 +258,7 @@ def thin_out(F, m, tol):
     return removed
 
 
-@compiled
+@inlined
 def _repaired(F, m, tol, q, budget):
     """Relax what is in the queue until no triangle in the journal is violated.
 

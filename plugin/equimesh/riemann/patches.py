@@ -14,6 +14,7 @@ import shapely
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
+from equimesh.fields.reference import by_reference
 from equimesh.frame import Frame
 from equimesh.riemann.metric import Metric
 from equimesh.riemann.tensors import checked, exponential, logarithm, packed, unpacked
@@ -34,6 +35,7 @@ _SMALL = 0.3  # unit edges
 _DEEPEST, _MOST = 20, 40_000
 
 
+@by_reference
 class MetricPatches(NamedTuple):
     """A quadtree of polynomials.
 
