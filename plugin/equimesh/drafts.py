@@ -1,4 +1,4 @@
-"""The best of several first meshes, each optimised on cheap errors.
+"""The best of several first meshes, each optimised on cheap errors and the best on the true ones.
 
 A lattice that fits a flat metric is settled at once; on a curved one annealing pays, from a lattice
 somewhat denser. Which density ends with the fewest triangles is not known beforehand: small meshes
@@ -17,9 +17,18 @@ from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.first_mesh import FirstMesh, first_mesh
 from equimesh.frame import Frame
-from equimesh.optimise.driver import EFFORTS, cycled, draft, seam_share, triangles_in
+from equimesh.optimise.driver import (
+    EFFORTS,
+    Report,
+    cycled,
+    draft,
+    optimise,
+    seam_share,
+    triangles_in,
+)
+from equimesh.optimise.mesh import Mesh
 
-__all__ = ["best_draft"]
+__all__ = ["best_drafts", "finished"]
 
 _SEAMS = 0.08  # above this share of violated triangles a lattice had better be annealed
 # Errors to anneal lattices for, in units of the tolerance; the denser the lattice, the lower.
@@ -27,7 +36,7 @@ _ERRORS = (0.93, 0.9, 0.93, 0.87)
 _FITTING = 4  # as many lattices cost what one that must be annealed does
 
 
-def best_draft(
+def best_drafts(
     surface: Field,
     kernel: KernelField,
     sides: Sides,
@@ -35,12 +44,12 @@ def best_draft(
     tol: float,
     effort: str,
     two_sided: bool,
-) -> FirstMesh:
-    """The first mesh with its draft in place; on data the bare outline."""
+) -> list[FirstMesh]:
+    """First meshes with their drafts in place, the best first; on data the bare outline."""
     lattice = first_mesh(surface, kernel, sides, frame, tol, two_sided=two_sided)
     size = int(lattice.mesh.count[0])
     if kernel.kind != PATCHES or lattice.settled:
-        return lattice
+        return [lattice]
     settled = seam_share(kernel, lattice.mesh, lattice.aim) <= _SEAMS
     how = EFFORTS[effort]
     number, cost = how.drafts, float(size)
@@ -58,7 +67,34 @@ def best_draft(
     best: list[FirstMesh] = []
     with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:
         for start in pool.map(drafted, range(number)):
-            best = sorted([*best, start], key=lambda start: triangles_in(start.mesh))[: how.kept]
-        meshes = list(pool.map(lambda start: cycled(kernel, start.mesh, start.aim, effort), best))
-    start, mesh = min(zip(best, meshes, strict=True), key=lambda pair: triangles_in(pair[1]))
-    return dataclasses.replace(start, mesh=mesh)
+            best = sorted([*best, start], key=_size)[: how.kept]
+        meshes = pool.map(lambda start: cycled(kernel, start.mesh, start.aim, effort), best)
+        best = [
+            dataclasses.replace(start, mesh=mesh) for start, mesh in zip(best, meshes, strict=True)
+        ]
+    return sorted(best, key=_size)
+
+
+def _size(start: FirstMesh) -> int:
+    return triangles_in(start.mesh)
+
+
+def finished(
+    kernel: KernelField, starts: list[FirstMesh], effort: str, report: Report
+) -> tuple[FirstMesh, Mesh, bool]:
+    """The draft that needs the fewest triangles on the true errors, its mesh and if that is good.
+
+    Drafts that Taylor's errors rank first need not end there.
+    """
+
+    def optimised(number: int) -> tuple[Mesh, bool]:
+        start = starts[number]
+        told = report if number == 0 else lambda _: None
+        return optimise(kernel, start.mesh, start.aim, effort, told)
+
+    if len(starts) == 1:  # in the caller's own thread, which may be the only one to show progress
+        return starts[0], *optimised(0)
+    with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, len(starts))) as pool:
+        ends = list(pool.map(optimised, range(len(starts))))
+    number = min(range(len(ends)), key=lambda n: (not ends[n][1], triangles_in(ends[n][0])))
+    return starts[number], *ends[number]

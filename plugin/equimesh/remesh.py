@@ -12,12 +12,12 @@ import shapely
 from equimesh.angles import AngleFloor, checked_angle
 from equimesh.constraints import with_constraints
 from equimesh.domain import DomainLike, domain_geometry, sides_of
-from equimesh.drafts import best_draft
+from equimesh.drafts import best_drafts, finished
 from equimesh.errors import InputError
 from equimesh.fields import Bound, Field, Source, as_field
 from equimesh.fields.raster import Raster
 from equimesh.metric import lower_bound
-from equimesh.optimise.driver import EFFORTS, optimise, repair
+from equimesh.optimise.driver import EFFORTS, repair
 from equimesh.optimise.mesh import Mesh
 from equimesh.outcome import tagged_constraints, user_mesh
 from equimesh.profile import profile_of
@@ -163,9 +163,9 @@ def remesh(
         floor = None if angle is None else AngleFloor.of(angle, sides)
         if floor is not None:
             kernel = floor.kept_by(kernel, frame)
-        start = best_draft(meshed, kernel, sides, frame, height / unit, effort, fit == "best")
+        starts = best_drafts(meshed, kernel, sides, frame, height / unit, effort, fit == "best")
     with stages.stage("optimise") as report:
-        mesh, good = optimise(kernel, start.mesh, start.aim, effort, report)
+        start, mesh, good = finished(kernel, starts, effort, report)
     with stages.stage("certify"):
         points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface, unit, lowest)
         profile = profile_of(surface, points, triangles, height)

@@ -46,6 +46,7 @@ from equimesh.optimise.sweep import (
 __all__ = [
     "EFFORTS",
     "Effort",
+    "Report",
     "cycled",
     "draft",
     "optimise",
@@ -96,7 +97,7 @@ class Effort:
 EFFORTS = {
     "fast": Effort(1, 1, 0, 2, 60, 0, 0, 1, 0, 0),
     "balanced": Effort(8, 1, 3_000, 1, 60, 1, 60, 1, 4, 16_000),
-    "best": Effort(200, 24, 60_000, 20, 300, 20, 600, 4, 80, 300_000),
+    "best": Effort(200, 24, 60_000, 20, 300, 20, 600, 8, 40, 300_000),
 }
 
 
