@@ -33,6 +33,7 @@ Effort: TypeAlias = Literal["fast", "balanced", "best"]
 Norm: TypeAlias = Literal["max", "L1", "L2", "gradient"]
 
 _REPAIRS = 8
+_EXACT = 0.9999  # of the tolerance: what rounding leaves where errors are exact
 
 
 def remesh(
@@ -165,7 +166,8 @@ def remesh(
             kernel = floor.kept_by(kernel, frame)
         start = best_draft(meshed, kernel, sides, frame, height / unit, effort, fit == "best")
     with stages.stage("optimise") as report:
-        mesh, good = optimise(kernel, start.mesh, start.aim, effort, report)
+        reach = max(_EXACT * height / unit, start.aim)
+        mesh, good = optimise(kernel, start.mesh, start.aim, effort, report, reach)
     with stages.stage("certify"):
         points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface, unit, lowest)
         profile = profile_of(surface, points, triangles, height)
