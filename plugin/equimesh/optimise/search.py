@@ -15,7 +15,7 @@ from equimesh.optimise.mesh import FREE, SLIDES, Mesh
 __all__ = ["search_all"]
 
 # Removals tried: in all, and rounds at least and at most.
-_TRIALS, _FEWEST_ROUNDS, _MOST_ROUNDS = 1_200_000, 8, 1000
+_TRIALS, _FEWEST_ROUNDS, _MOST_ROUNDS = 1_600_000, 8, 1000
 # The search ends where so many in a row, at least so many rounds, have taken out less than this
 # share of them.
 _IDLE_TRIALS, _IDLE_ROUNDS, _IDLE_SHARE = 10_000, 40, 3e-5
