@@ -10,9 +10,17 @@ from equimesh.fields.raster import Raster
 from equimesh.first_mesh import first_mesh
 from equimesh.optimise.driver import optimise
 from equimesh.optimise.energy import evaluate_all
-from equimesh.optimise.focus import _insert, _list_journal, _search, exchange_round, make_search
+from equimesh.optimise.focus import (
+    _insert,
+    _list_journal,
+    _listed_cost,
+    _search,
+    exchange_round,
+    make_search,
+)
 from equimesh.optimise.mesh import FREE, GONE, SLIDES
 from equimesh.optimise.removal import remove_vertex
+from equimesh.optimise.search import search_all
 from equimesh.optimise.topology import begin, rollback
 
 
@@ -30,7 +38,7 @@ def greedy(bound, fit="interpolate", heights=None):
     start = first_mesh(
         surface, kernel, sides_of(outline), surface.frame(outline), 1.0, two_sided=fit == "best"
     )
-    mesh, good = optimise(kernel, start.mesh, 1.0, "fast", lambda _: None)
+    mesh, good = optimise(kernel, start.mesh, 1.0, "fast", lambda _: None, 1.0)
     assert good
     return surface, kernel, mesh
 
@@ -96,7 +104,7 @@ def test_what_fails_is_undone_to_the_byte():
     for v in candidates(mesh):
         begin(mesh)
         if remove_vertex(kernel, mesh, 1.0, v, 100.0) >= 0.0:
-            n = _search(kernel, mesh, 1.0, search, _list_journal(mesh, search, 0, 0))
+            n = _search(kernel, mesh, 1.0, search, _list_journal(mesh, search, 0, 0), 300)
             if n > 0:
                 n = max(_insert(kernel, mesh, 1.0, search, n), 0)
             assert state(mesh) != before
@@ -112,6 +120,51 @@ def test_the_same_search_twice():
     for _, kernel, mesh in (first, second):
         exchange_round(kernel, mesh, 1.0, make_search(mesh), candidates(mesh))
     assert state(first[2]) == state(second[2])
+
+
+@pytest.mark.parametrize("bound", ["samples", "surface"])
+def test_the_cost_of_a_removal_counts_every_edge_and_inside_once(bound):
+    """A violation by d costs 0.3 + min(d, 3)."""
+    _, kernel, mesh = greedy(bound)
+    search, compared = make_search(mesh), 0
+    for v in candidates(mesh)[:60]:
+        begin(mesh)
+        if remove_vertex(kernel, mesh, 1.0, v, 100.0) >= 0.0:
+            cost = _listed_cost(mesh, search, _list_journal(mesh, search, 0, 0))
+            live = np.flatnonzero(mesh.tv[:, 0] >= 0)
+            edges = np.sort(np.stack([mesh.tv[live], np.roll(mesh.tv[live], -1, 1)], 2), 2)
+            _, once = np.unique(edges.reshape(-1, 2), axis=0, return_index=True)
+            errors = np.abs(np.concatenate([mesh.ie[live], mesh.ee[live].ravel()[once]]))
+            over = errors[errors > 1.0] - 1.0
+            assert cost == pytest.approx((0.3 + np.minimum(over, 3.0)).sum(), abs=1e-12)
+            compared += len(over) > 0
+            search.place[:] = -1
+        rollback(mesh)
+    assert compared > 20
+
+
+def test_the_whole_search_takes_what_the_tolerance_leaves(monkeypatch):
+    """From one mesh that keeps 1, a search up to 1.3 takes out more, its errors up to 1.3."""
+    monkeypatch.setattr("equimesh.optimise.search._MOST_ROUNDS", 30)
+    counts, shares = {}, []
+    for tol in (1.0, 1.3):
+        surface, kernel, mesh = greedy("samples", heights=rough(3, 14))
+        search_all(kernel, mesh, tol, shares.append)
+        live = mesh.tv[:, 0] >= 0
+        points = np.stack([mesh.x, mesh.y, mesh.z], 1)
+        errors, _ = surface.errors(points, mesh.tv[live])
+        assert 0.99 * tol < errors.max() <= tol * (1.0 + 1e-9)
+        counts[tol] = count(mesh)
+    assert counts[1.3] < counts[1.0]
+    assert 0.0 < min(shares) < max(shares) <= 1.0
+
+
+def test_a_mesh_without_inner_vertices_has_nothing_to_search():
+    _, kernel, mesh = greedy("samples", heights=np.add.outer(np.arange(5.0), np.arange(6.0)))
+    before = state(mesh)
+    search_all(kernel, mesh, 1.0, lambda _: None)
+    assert count(mesh) == 2
+    assert state(mesh) == before
 
 
 @pytest.mark.parametrize("fit", ["interpolate", "best"])

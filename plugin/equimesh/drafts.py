@@ -80,17 +80,17 @@ def _size(start: FirstMesh) -> int:
 
 
 def finished(
-    kernel: KernelField, starts: list[FirstMesh], effort: str, report: Report
+    kernel: KernelField, starts: list[FirstMesh], effort: str, report: Report, most: float
 ) -> tuple[FirstMesh, Mesh, bool]:
     """The draft that needs the fewest triangles on the true errors, its mesh and if that is good.
 
-    Drafts that Taylor's errors rank first need not end there.
+    Drafts that Taylor's errors rank first need not end there. ``most``: see ``driver.optimise``.
     """
 
     def optimised(number: int) -> tuple[Mesh, bool]:
         start = starts[number]
         told = report if number == 0 else lambda _: None
-        return optimise(kernel, start.mesh, start.aim, effort, told)
+        return optimise(kernel, start.mesh, start.aim, effort, told, most)
 
     if len(starts) == 1:  # in the caller's own thread, which may be the only one to show progress
         return starts[0], *optimised(0)

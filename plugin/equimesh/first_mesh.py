@@ -28,6 +28,8 @@ __all__ = ["FirstMesh", "first_mesh"]
 # between the lattice's errors, the optimiser's hinge, its aim and the tolerance itself.
 _SLACK = 0.5  # over the square root of the number of triangles, at most
 _MOST_SLACK = 0.015
+_MARGIN = 0.05  # of it lies between the aim and the tolerance
+_DATA_MARGIN = 3e-3  # and on data, in units of the tolerance
 _SLACKS = (1.0, 0.6)  # how much of it lattices take in turn: with luck less is enough
 _MOST = 2e7  # triangles that memory is meant to hold
 
@@ -75,7 +77,7 @@ def first_mesh(
     ring = _corners_only(local)
     chains = _Chains(np.empty((0, 2)), sides.lines.edges, np.empty(0, np.int64))
     inner = np.empty((0, 2))
-    slack = _MOST_SLACK
+    slack, aim = _MOST_SLACK, tol * (1.0 - _DATA_MARGIN)
     settled = kernel.kind == PATCHES and _coarse_is_enough(surface, sides, tol)
     if kernel.kind == PATCHES and not settled:
         coarse, edges, walls = _outline(ring, local, chains)
@@ -92,13 +94,14 @@ def first_mesh(
         slack = min(_MOST_SLACK, _SLACK / math.sqrt(max(expected, 1.0)))
         slack *= _SLACKS[turn % len(_SLACKS)]
         reached = 1.0 - 1.2 * slack
+        aim = tol * (1.0 - _MARGIN * slack)
         height = tol if error is None else tol * error / reached
         nodes = boundary_nodes(kernel, local, height, floor)
         corner = np.where(nodes.corner, nodes.side, -1)
         ring = _merged(nodes.points, nodes.following, nodes.side, corner)
         chains = _equidistributed(kernel, local, height, floor)
         inner = lattice_points(
-            kernel, local, nodes, (reached if error is None else error) * _aim(tol, slack), floor,
+            kernel, local, nodes, (reached if error is None else error) * aim, floor,
             int(expected) + 10,
             turn=turn, obstacles=chains.segments(local),
         )  # fmt: skip
@@ -122,10 +125,10 @@ def first_mesh(
     if two_sided:
         mesh.count[HEIGHTS] = 1
         if kernel.kind == PATCHES and not settled:
-            step_aside(kernel, mesh, _aim(tol, slack) * (error or 1.0))
+            step_aside(kernel, mesh, aim * (error or 1.0))
     if error is None:
         mesh.hinge[0] = 1.0 - slack
-    return FirstMesh(mesh, sides, corner_of, _aim(tol, slack), settled)
+    return FirstMesh(mesh, sides, corner_of, aim, settled)
 
 
 class _Ring(NamedTuple):
@@ -181,10 +184,6 @@ def _outline(
     points = np.vstack([ring.points, nodes, chains.points])
     place = np.concatenate([ring.place, np.arange(len(ring.points), len(points))])
     return points, ring.edges, place[chains.walls]
-
-
-def _aim(tol: float, slack: float) -> float:
-    return tol * (1.0 - 0.2 * slack)
 
 
 def _coarse_is_enough(surface: Field, sides: Sides, tol: float) -> bool:

@@ -33,6 +33,7 @@ Effort: TypeAlias = Literal["fast", "balanced", "best"]
 Norm: TypeAlias = Literal["max", "L1", "L2", "gradient"]
 
 _REPAIRS = 8
+_EXACT = 0.9999  # of the tolerance: what rounding leaves where errors are exact
 
 
 def remesh(
@@ -165,7 +166,8 @@ def remesh(
             kernel = floor.kept_by(kernel, frame)
         starts = best_drafts(meshed, kernel, sides, frame, height / unit, effort, fit == "best")
     with stages.stage("optimise") as report:
-        start, mesh, good = finished(kernel, starts, effort, report)
+        reach = max(_EXACT * height / unit, starts[0].aim)
+        start, mesh, good = finished(kernel, starts, effort, report, reach)
     with stages.stage("certify"):
         points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface, unit, lowest)
         profile = profile_of(surface, points, triangles, height)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.optimise.anneal import anneal, exchange, press
 from equimesh.optimise.energy import evaluate_all
-from equimesh.optimise.focus import exchange_round, make_search
 from equimesh.optimise.greedy import refine
 from equimesh.optimise.mesh import (
     EVEN,
@@ -29,6 +28,7 @@ from equimesh.optimise.mesh import (
     enlarged,
 )
 from equimesh.optimise.relax import Queue, make_queue
+from equimesh.optimise.search import search_all
 from equimesh.optimise.sweep import (
     flip_all,
     insert_round,
@@ -65,10 +65,6 @@ _PRESSED = 20_000  # triangles up to which true errors are pressed: they are dea
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Taylor's formula.
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
-# Removals tried by focused search at ``best``: in all, and rounds at least and at most. It stops
-# when so many rounds in a row have each taken out less than this share of the vertices.
-_TRIALS, _FEWEST_ROUNDS, _MOST_ROUNDS = 1_000_000, 8, 400
-_IDLE_ROUNDS, _IDLE_SHARE = 5, 2e-4
 
 
 @dataclass(frozen=True)
@@ -202,10 +198,11 @@ def _completed(field: KernelField, mesh: Mesh, tol: float, effort: str) -> Mesh:
 
 
 def optimise(
-    field: KernelField, mesh: Mesh, tol: float, effort: str, report: Report
+    field: KernelField, mesh: Mesh, tol: float, effort: str, report: Report, most: float
 ) -> tuple[Mesh, bool]:
     """Bring every error of the mesh to at most ``tol``, then take out what is not needed.
 
+    The search on data at ``best``, whose errors are exact, goes up to ``most``, a larger tolerance.
     Returns the mesh (enlarged where it had to be) and whether every violation is gone.
     """
     how = EFFORTS[effort]
@@ -236,7 +233,7 @@ def optimise(
         _remove(field, mesh, tol, rounds, visits, lambda f: report(0.5 + share * f))
         good = good or bool(violations(mesh, 1.0)[0] == 0)
         if searched and good:
-            _search(field, mesh, tol, lambda f: report(0.6 + 0.4 * f))
+            search_all(field, mesh, most, lambda f: report(0.6 + 0.4 * f))
     return mesh, good
 
 
@@ -336,22 +333,3 @@ def _remove(
             mesh.count[MANNER] = EVEN
             relax_everything(field, mesh, tol, queue, 3)
             mesh.count[MANNER] = SETTLE
-
-
-def _search(field: KernelField, mesh: Mesh, tol: float, report: Report) -> None:
-    """Rounds of focused search over all vertices, in random order."""
-    search, order = make_search(mesh), np.random.default_rng(0)
-    candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
-    rounds = int(np.clip(_TRIALS // max(len(candidates), 1), _FEWEST_ROUNDS, _MOST_ROUNDS))
-    idle = 0
-    for number in range(rounds):
-        candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
-        order.shuffle(candidates)
-        removed = 0
-        for first in range(0, len(candidates), 500):
-            part = candidates[first : first + 500]
-            removed += exchange_round(field, mesh, tol, search, part)[0]
-            report((number + (first + len(part)) / len(candidates)) / rounds)
-        idle = idle + 1 if removed <= _IDLE_SHARE * len(candidates) else 0
-        if idle == _IDLE_ROUNDS:
-            break

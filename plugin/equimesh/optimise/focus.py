@@ -45,8 +45,15 @@ _MOST = 3.0
 _TEMPERATURE = 0.07
 _GOAL = 100.0  # of a removal: what costs more is not worth a search
 _TRIES = 300  # changes tried after a removal, and again after an insertion
+# A removal that leaves more than this is repaired without an insertion so rarely that only a few
+# changes are worth a try.
+_HARD = 2.0
+_FEW = 50
+_HOPELESS_COST = 4.5  # after an insertion: what costs more is not worth a search
 _HOPELESS = 10  # violated triangles that no insertion is tried for
-# Shares of what is tried: flips, moves to the largest error, moves up or down.
+# Shares of what is tried: changes beside a violated triangle, flips, moves to the largest error,
+# moves up or down.
+_BESIDE = 0.3
 _FLIPS = 0.35
 _ONTO = 0.1
 _UPRIGHT = 0.3
@@ -245,13 +252,31 @@ def _move(F, m, tol, random, t, v, rise):
 
 
 @compiled
-def _search(F, m, tol, s, n):
-    """Random changes of the n violated triangles on the list; returns how many are left."""
-    for _ in range(_TRIES):
+def _listed_cost(m, s, n):
+    """What the n violated triangles on the list cost, edges between two of them once."""
+    total = 0.0
+    for i in range(n):
+        t = s.bad[i]
+        total += _cost(m.ie[t])
+        for k in range(3):
+            total += (0.5 if m.tn[t, k] >= 0 else 1.0) * _cost(m.ee[t, k])
+    return total
+
+
+@compiled
+def _search(F, m, tol, s, n, tries):
+    """Random changes of the n violated triangles on the list and of those beside them.
+
+    Returns how many are left.
+    """
+    for _ in range(tries):
         if n == 0 or not room_left(m):
             break
         t = s.bad[int(_uniform(s.random) * n)]
         rise = -_TEMPERATURE * math.log(1.0 - _uniform(s.random))
+        if _uniform(s.random) < _BESIDE:
+            beside = m.tn[t, int(_uniform(s.random) * 3)]
+            t = beside if beside >= 0 else t
         corner = int(_uniform(s.random) * 3)
         if _uniform(s.random) < _FLIPS:
             u = _flip(F, m, tol, t, corner, rise)
@@ -296,12 +321,15 @@ def exchange_round(F, m, tol, s, candidates):
         if not room_left(m) or remove_vertex(F, m, tol, v, _GOAL) < 0.0:
             rollback(m)
             continue
-        n = _search(F, m, tol, s, _list_journal(m, s, 0, 0))
+        n = _list_journal(m, s, 0, 0)
+        n = _search(F, m, tol, s, n, _TRIES if _listed_cost(m, s, n) <= _HARD else _FEW)
         fewer = n == 0
         if 0 < n <= _HOPELESS and room_left(m):
             more = _insert(F, m, tol, s, n)
             if more >= 0:
-                n = _search(F, m, tol, s, more)
+                n = more
+                if _listed_cost(m, s, n) <= _HOPELESS_COST:
+                    n = _search(F, m, tol, s, n, _TRIES)
         if n == 0:
             commit(m)
             removed += fewer

@@ -1,0 +1,53 @@
+"""The longest part of ``best`` on data: focused search over the whole mesh, round after round."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from equimesh.fields.kernel import KernelField
+from equimesh.optimise.energy import evaluate_all
+from equimesh.optimise.focus import exchange_round, make_search
+from equimesh.optimise.mesh import FREE, SLIDES, Mesh
+
+__all__ = ["search_all"]
+
+# Removals tried: in all, and rounds at least and at most.
+_TRIALS, _FEWEST_ROUNDS, _MOST_ROUNDS = 1_600_000, 8, 1000
+# The search ends where so many in a row, at least so many rounds, have taken out less than this
+# share of them.
+_IDLE_TRIALS, _IDLE_ROUNDS, _IDLE_SHARE = 10_000, 40, 3e-5
+_PART = 500  # removals between two reports
+
+
+def search_all(field: KernelField, mesh: Mesh, tol: float, report: Callable[[float], None]) -> None:
+    """Remove or exchange vertices of a mesh that keeps ``tol``, in random order, again and again.
+
+    Errors of data are exact: unlike what comes before, the search needs no margin below ``tol``.
+    """
+    evaluate_all(field, mesh, tol)
+    search, order = make_search(mesh), np.random.default_rng(0)
+    first = max(len(_candidates(mesh)), 1)
+    rounds = int(np.clip(_TRIALS // first, _FEWEST_ROUNDS, _MOST_ROUNDS))
+    since, tried, gone = 0, 0, 0  # rounds, trials and removals in the present stretch
+    for number in range(rounds):
+        candidates = _candidates(mesh)
+        if len(candidates) == 0:
+            break
+        order.shuffle(candidates)
+        for start in range(0, len(candidates), _PART):
+            part = candidates[start : start + _PART]
+            gone += exchange_round(field, mesh, tol, search, part)[0]
+            report((number + (start + len(part)) / len(candidates)) / rounds)
+        since, tried = since + 1, tried + len(candidates)
+        if since >= _IDLE_ROUNDS and tried >= _IDLE_TRIALS:
+            if gone < _IDLE_SHARE * tried:
+                break
+            since, tried, gone = 0, 0, 0
+
+
+def _candidates(mesh: Mesh) -> NDArray[np.int64]:
+    """The vertices that may go."""
+    return np.asarray(np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES)))
