@@ -8,6 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.polynomial.polynomial import polyval2d
 
+import equimesh
 from equimesh.fields.sampling import sampled_errors
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -197,3 +198,10 @@ def test_many_blocks_give_the_same_as_one_by_one():
     again, _ = sampled_errors(f, points, triangles[pick])
     assert errors[pick] == pytest.approx(again, rel=2e-2)
     assert (bounds >= brute_force(f, points, triangles, 10) * (1 - 1e-12)).all()
+
+
+@pytest.mark.parametrize("layer", ["tanh(20*x - 10 + 8*sin(3*y))", "tanh(15*(x*x + y*y - 0.5))"])
+def test_a_mesh_is_found_to_keep_its_tolerance_without_being_told_which(layer):
+    # Some first guesses are far too large in a layer; they must not hide other triangles' slack.
+    result = equimesh.remesh(layer, 0.02, (0, 0, 1, 1), effort="fast")
+    assert equimesh.profile(result.points, result.triangles, layer).bound <= 1.002 * result.tol

@@ -223,7 +223,7 @@ def _described(
         profile = _in_metric(result, patch, source)
     elif flat or len(patch.points) != len(result.points):
         points = patch.points[:, :2] if flat else patch.points
-        profile = equimesh.profile(points, patch.triangles, source)
+        profile = equimesh.profile(points, patch.triangles, source, limit=result.tol)
     boundary = result.boundary
     if curves:
         named = {curve.tag: _name(gmsh, curve.tag) for curve in curves}

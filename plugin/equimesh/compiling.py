@@ -30,7 +30,7 @@ class _Watch(event.Listener):  # type: ignore[misc]
         if not self.told and spent > _PATIENCE:
             self.told = True
             logging.getLogger("equimesh").warning(
-                "equimesh is compiling its kernels: a minute or two, once after installation."
+                "equimesh is compiling its kernels: about a minute, once after installation."
             )
 
     def on_end(self, event: Any) -> None:

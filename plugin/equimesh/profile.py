@@ -93,7 +93,11 @@ def profile_of(
 
 
 def profile(
-    points: ArrayLike, triangles: ArrayLike, source: Source, bound: Bound | None = None
+    points: ArrayLike,
+    triangles: ArrayLike,
+    source: Source,
+    bound: Bound | None = None,
+    limit: float = np.inf,
 ) -> Profile:
     """Measure any triangle mesh against a surface.
 
@@ -107,6 +111,9 @@ def profile(
         What ``remesh`` takes: callable, expression, 2-D array or field.
     bound
         For rasters: ``"surface"`` or ``"samples"``, see ``Raster``.
+    limit
+        An error in units of z, such as a tolerance: the bounds of functions are tightened wherever
+        they leave open whether it is exceeded.
 
     Raises
     ------
@@ -140,4 +147,4 @@ def profile(
     a, b, c = p[t[:, 0], :2], p[t[:, 1], :2], p[t[:, 2], :2]
     turned = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0
     t[turned] = t[turned][:, ::-1]
-    return profile_of(field, p, t)
+    return profile_of(field, p, t, limit)

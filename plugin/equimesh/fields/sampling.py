@@ -27,8 +27,10 @@ _CHUNK = 4096
 # difference along and across the grid (0.2561, by linear programming over all cubics), and a
 # margin.
 _REMAINDER = 0.3
-_TIGHT = 0.004  # remainder, as a share of the largest error, that is let be
+# Remainder that is let be, as a share of the largest error; the second where a limit is to be kept.
+_TIGHT, _TIGHT_ENOUGH = 0.001, 0.004
 _DEPTH = 4
+_ROUNDS = 3 * _DEPTH  # the largest error falls on the way, and others come into question
 
 
 def _grid(n: int) -> tuple[Array, IntArray]:
@@ -56,24 +58,28 @@ def sampled_errors(
     samples are not seen.
     """
     corners = points[triangles]
-    errors, bounds = _sample_all(f, corners)
-    owner = np.arange(len(triangles))
-    fine, fine_bound = errors, bounds
-    for _ in range(_DEPTH):
-        largest = errors.max(initial=0.0)
-        loose = (fine_bound - fine > _TIGHT * largest) & (fine_bound > 0.98 * largest)
+    owner, depth = np.arange(len(triangles)), np.zeros(len(triangles), np.int64)
+    fine, fine_bound = _sample_all(f, corners)
+    tight = _TIGHT if np.isinf(limit) else _TIGHT_ENOUGH
+    for _ in range(_ROUNDS):
+        largest = fine.max(initial=0.0)
+        loose = (fine_bound - fine > tight * largest) & (fine_bound > 0.98 * largest)
         # The model may be off either way by as much as its remainder.
         open_case = (fine_bound > limit) & (2.0 * fine - fine_bound <= limit)
-        families = np.unique(owner[loose | open_case])
-        if len(families) == 0:
+        todo = (loose | open_case) & (depth < _DEPTH)
+        if not todo.any():
             break
-        todo = np.flatnonzero(np.isin(owner, families))
-        corners, owner = _quarters(corners[todo]), np.repeat(owner[todo], 4)
-        fine, fine_bound = _sample_all(f, corners)
-        # What a family's coarser model said is replaced: the pieces know better.
-        errors[families] = bounds[families] = 0.0
-        np.maximum.at(errors, owner, fine)
-        np.maximum.at(bounds, owner, fine_bound)
+        # What a coarser model said is replaced: the pieces know better.
+        pieces = _quarters(corners[todo])
+        errors, bounds = _sample_all(f, pieces)
+        corners = np.concatenate([corners[~todo], pieces])
+        fine = np.concatenate([fine[~todo], errors])
+        fine_bound = np.concatenate([fine_bound[~todo], bounds])
+        owner = np.concatenate([owner[~todo], np.repeat(owner[todo], 4)])
+        depth = np.concatenate([depth[~todo], np.repeat(depth[todo] + 1, 4)])
+    errors, bounds = np.zeros(len(triangles)), np.zeros(len(triangles))
+    np.maximum.at(errors, owner, fine)
+    np.maximum.at(bounds, owner, fine_bound)
     return errors, bounds
 
 
