@@ -49,7 +49,6 @@ _TRIES = 300  # changes tried after a removal, and again after an insertion
 # changes are worth a try.
 _HARD = 2.0
 _FEW = 50
-_HOPELESS_COST = 4.5  # after an insertion: what costs more is not worth a search
 _HOPELESS = 10  # violated triangles that no insertion is tried for
 # Shares of what is tried: changes beside a violated triangle, flips, moves to the largest error,
 # moves up or down.
@@ -327,9 +326,7 @@ def exchange_round(F, m, tol, s, candidates):
         if 0 < n <= _HOPELESS and room_left(m):
             more = _insert(F, m, tol, s, n)
             if more >= 0:
-                n = more
-                if _listed_cost(m, s, n) <= _HOPELESS_COST:
-                    n = _search(F, m, tol, s, n, _TRIES)
+                n = _search(F, m, tol, s, more, _TRIES)
         if n == 0:
             commit(m)
             removed += fewer

@@ -16,9 +16,8 @@ __all__ = ["search_all"]
 
 # Removals tried: in all, and rounds at least and at most.
 _TRIALS, _FEWEST_ROUNDS, _MOST_ROUNDS = 1_600_000, 8, 1000
-# The search ends where so many in a row, at least so many rounds, have taken out less than this
-# share of them.
-_IDLE_TRIALS, _IDLE_ROUNDS, _IDLE_SHARE = 10_000, 40, 3e-5
+# The search ends where so many in a row, at least so many rounds, have taken out none.
+_IDLE_TRIALS, _IDLE_ROUNDS = 10_000, 40
 _PART = 500  # removals between two reports
 
 
@@ -31,21 +30,20 @@ def search_all(field: KernelField, mesh: Mesh, tol: float, report: Callable[[flo
     search, order = make_search(mesh), np.random.default_rng(0)
     first = max(len(_candidates(mesh)), 1)
     rounds = int(np.clip(_TRIALS // first, _FEWEST_ROUNDS, _MOST_ROUNDS))
-    since, tried, gone = 0, 0, 0  # rounds, trials and removals in the present stretch
+    idle = tried = 0  # rounds and trials since the last removal
     for number in range(rounds):
         candidates = _candidates(mesh)
         if len(candidates) == 0:
             break
         order.shuffle(candidates)
+        gone = 0
         for start in range(0, len(candidates), _PART):
             part = candidates[start : start + _PART]
             gone += exchange_round(field, mesh, tol, search, part)[0]
             report((number + (start + len(part)) / len(candidates)) / rounds)
-        since, tried = since + 1, tried + len(candidates)
-        if since >= _IDLE_ROUNDS and tried >= _IDLE_TRIALS:
-            if gone < _IDLE_SHARE * tried:
-                break
-            since, tried, gone = 0, 0, 0
+        idle, tried = (0, 0) if gone else (idle + 1, tried + len(candidates))
+        if idle >= _IDLE_ROUNDS and tried >= _IDLE_TRIALS:
+            break
 
 
 def _candidates(mesh: Mesh) -> NDArray[np.int64]:
