@@ -43,6 +43,12 @@ def greedy(bound, fit="interpolate", heights=None):
     return surface, kernel, mesh
 
 
+@pytest.fixture
+def short(monkeypatch):
+    """Some rounds are enough to see what the search does."""
+    monkeypatch.setattr("equimesh.optimise.search._MOST_ROUNDS", 30)
+
+
 def candidates(mesh):
     return np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
 
@@ -143,9 +149,9 @@ def test_the_cost_of_a_removal_counts_every_edge_and_inside_once(bound):
     assert compared > 20
 
 
-def test_the_whole_search_takes_what_the_tolerance_leaves(monkeypatch):
+@pytest.mark.usefixtures("short")
+def test_the_whole_search_takes_what_the_tolerance_leaves():
     """From one mesh that keeps 1, a search up to 1.3 takes out more, its errors up to 1.3."""
-    monkeypatch.setattr("equimesh.optimise.search._MOST_ROUNDS", 30)
     counts, shares = {}, []
     for tol in (1.0, 1.3):
         surface, kernel, mesh = greedy("samples", heights=rough(3, 14))
@@ -167,6 +173,7 @@ def test_a_mesh_without_inner_vertices_has_nothing_to_search():
     assert state(mesh) == before
 
 
+@pytest.mark.usefixtures("short")
 @pytest.mark.parametrize("fit", ["interpolate", "best"])
 def test_best_needs_fewer_than_balanced_on_rough_data(fit):
     """Measured 0.81 to 0.87 of its triangles on white noise of two seeds."""
@@ -180,6 +187,7 @@ def test_best_needs_fewer_than_balanced_on_rough_data(fit):
     assert counts["best"] < 0.95 * counts["balanced"]
 
 
+@pytest.mark.usefixtures("short")
 def test_holes_and_breaklines_stay():
     """Triangles over missing samples would show as area, a lost breakline as a missing edge."""
     heights = rough(2, 14)
