@@ -166,8 +166,7 @@ def remesh(
             kernel = floor.kept_by(kernel, frame)
         starts = best_drafts(meshed, kernel, sides, frame, height / unit, effort, fit == "best")
     with stages.stage("optimise") as report:
-        reach = max(_EXACT * height / unit, starts[0].aim)
-        start, mesh, good = finished(kernel, starts, effort, report, reach)
+        start, mesh, good = finished(kernel, starts, effort, report, _EXACT * height / unit)
     with stages.stage("certify"):
         points, triangles, boundary, slots = user_mesh(mesh, start, frame, surface, unit, lowest)
         profile = profile_of(surface, points, triangles, height)

@@ -27,6 +27,7 @@ from equimesh.optimise.mesh import (
     SOFT,
     TRIANGLES,
     Mesh,
+    movable,
 )
 from equimesh.optimise.newton import relax_together
 from equimesh.optimise.relax import Queue, clear, push, relax
@@ -161,7 +162,7 @@ def exchange(
     _give_way(field, mesh, aim)
     stamp = np.zeros(len(mesh.x), np.int64)
     for number in range(1, _ROUNDS + 1):
-        candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
+        candidates = movable(mesh)
         candidates = candidates[stamp[candidates] == number - 1]
         waste = vertex_waste(field, mesh, aim, candidates)
         off = np.flatnonzero(np.abs(waste) > _OFF)

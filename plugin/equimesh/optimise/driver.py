@@ -21,11 +21,11 @@ from equimesh.optimise.mesh import (
     MANNER,
     MODEL,
     SETTLE,
-    SLIDES,
     SPREAD,
     Mesh,
     copied,
     enlarged,
+    movable,
 )
 from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.search import search_all
@@ -314,7 +314,7 @@ def _remove(
     stamp = np.zeros(len(mesh.x), np.int64)
     everywhere = True
     for number in range(1, rounds + 1):
-        candidates = np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES))
+        candidates = movable(mesh)
         if not everywhere:
             candidates = candidates[stamp[candidates] == number - 1]
         waste = vertex_waste(field, mesh, tol, candidates)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from equimesh.fields.reference import by_reference
 
-__all__ = ["FIXED", "FREE", "SLIDES", "Mesh", "build", "compact", "copied", "enlarged"]
+__all__ = ["FIXED", "FREE", "SLIDES", "Mesh", "build", "compact", "copied", "enlarged", "movable"]
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
 # How errors are priced (``energy.penalty``).
@@ -146,6 +146,11 @@ def compact(
     index = np.cumsum(live_v) - 1
     points = np.stack([mesh.x[live_v], mesh.y[live_v], mesh.z[live_v]], 1)
     return points, index[triangles], mesh.kind[live_v], mesh.side[live_v]
+
+
+def movable(mesh: Mesh) -> NDArray[np.int64]:
+    """The vertices that may move and go."""
+    return np.asarray(np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES)))
 
 
 def copied(mesh: Mesh) -> Mesh:

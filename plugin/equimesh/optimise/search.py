@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from equimesh.fields.kernel import KernelField
 from equimesh.optimise.energy import evaluate_all
 from equimesh.optimise.focus import exchange_round, make_search
-from equimesh.optimise.mesh import FREE, SLIDES, Mesh
+from equimesh.optimise.mesh import Mesh, movable
 
 __all__ = ["search_all"]
 
@@ -28,11 +27,11 @@ def search_all(field: KernelField, mesh: Mesh, tol: float, report: Callable[[flo
     """
     evaluate_all(field, mesh, tol)
     search, order = make_search(mesh), np.random.default_rng(0)
-    first = max(len(_candidates(mesh)), 1)
+    first = max(len(movable(mesh)), 1)
     rounds = int(np.clip(_TRIALS // first, _FEWEST_ROUNDS, _MOST_ROUNDS))
     idle = tried = 0  # rounds and trials since the last removal
     for number in range(rounds):
-        candidates = _candidates(mesh)
+        candidates = movable(mesh)
         if len(candidates) == 0:
             break
         order.shuffle(candidates)
@@ -44,8 +43,3 @@ def search_all(field: KernelField, mesh: Mesh, tol: float, report: Callable[[flo
         idle, tried = (0, 0) if gone else (idle + 1, tried + len(candidates))
         if idle >= _IDLE_ROUNDS and tried >= _IDLE_TRIALS:
             break
-
-
-def _candidates(mesh: Mesh) -> NDArray[np.int64]:
-    """The vertices that may go."""
-    return np.asarray(np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES)))
