@@ -156,9 +156,9 @@ def lower_bound(
 ) -> float:
     """N* of a function over a domain that ``triangles`` cover (local coordinates).
 
-    The triangles are subdivided until about 100,000 quadrature points lie in the domain.
+    The triangles are subdivided until some 300,000 quadrature points lie in the domain.
     """
-    return _integrated(field, points, triangles, tol, 0.0)
+    return _integrated(field, points, triangles, tol, 0.0, 3e5)
 
 
 def lattice_size(
@@ -169,7 +169,7 @@ def lattice_size(
     floor: float,
 ) -> float:
     """About how many triangles a lattice in the limited metric of ``frame_at`` has."""
-    return _integrated(field, points, triangles, tol, floor)
+    return _integrated(field, points, triangles, tol, floor, 3e4)
 
 
 def _integrated(
@@ -178,8 +178,9 @@ def _integrated(
     triangles: NDArray[np.int64],
     tol: float,
     floor: float,
+    places: float,
 ) -> float:
-    depth = max(0, math.ceil(0.5 * math.log2(1e5 / max(len(triangles), 1))))
+    depth = max(0, math.ceil(0.5 * math.log2(places / max(len(triangles), 1))))
     plane = np.ascontiguousarray(points[:, :2])
     return float(
         _integral(field.frame, field.child, field.coef, plane, triangles, depth, tol, floor)

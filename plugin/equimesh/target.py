@@ -113,9 +113,13 @@ class _Search:
 
 
 def _slope(logs: Array, excess: Array, k: int) -> float:
-    """Of -excess against log: from trial ``k`` to the nearest one that is far enough to tell."""
+    """Of -excess against log: from trial ``k`` to the nearest one that is far enough to tell, if
+    there is one on the other side of what is aimed at."""
     distance = np.abs(logs - logs[k])
     distance[distance < _FAR] = math.inf
+    beyond = np.isfinite(distance) & (excess * excess[k] < 0.0)
+    if beyond.any():
+        distance[~beyond] = math.inf
     other = int(distance.argmin())
     if not math.isfinite(distance[other]):
         return 1.0
