@@ -32,7 +32,7 @@ __all__ = ["best_drafts", "finished"]
 
 _SEAMS = 0.08  # above this share of violated triangles a lattice had better be annealed
 # Errors to anneal lattices for, in units of the tolerance; the denser the lattice, the lower.
-_ERRORS = (0.93, 0.9, 0.93, 0.87)
+_ERRORS = (0.93, 0.95, 0.94)
 _FITTING = 4  # as many lattices cost what one that must be annealed does
 
 

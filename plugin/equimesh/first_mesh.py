@@ -17,6 +17,7 @@ from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.frame import Frame
 from equimesh.metric import lattice_size
+from equimesh.optimise.anneal import relief
 from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, SLIDES, Mesh, build
 from equimesh.optimise.sweep import step_aside
 from equimesh.seeding import lattice_points
@@ -100,8 +101,11 @@ def first_mesh(
         corner = np.where(nodes.corner, nodes.side, -1)
         ring = _merged(nodes.points, nodes.following, nodes.side, corner)
         chains = _equidistributed(kernel, local, height, floor)
+        relieved = kernel
+        if error is not None and not two_sided:
+            relieved = kernel.relieved(relief(error))
         inner = lattice_points(
-            kernel, local, nodes, (reached if error is None else error) * aim, floor,
+            relieved, local, nodes, (reached if error is None else error) * aim, floor,
             int(expected) + 10,
             turn=turn, obstacles=chains.segments(local),
         )  # fmt: skip

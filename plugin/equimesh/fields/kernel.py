@@ -55,6 +55,13 @@ class KernelField(NamedTuple):
         frame[3] = 2.0
         return self._replace(frame=frame)
 
+    def relieved(self, share: float) -> KernelField:
+        """The same field for lattices whose errors are ``share`` times larger where it is convex
+        or concave."""
+        frame = self.frame.copy()
+        frame[3] *= share
+        return self._replace(frame=frame)
+
     def angled(
         self, sine: float, matrix: NDArray[np.float64], sharp: NDArray[np.float64], ratio: float
     ) -> KernelField:

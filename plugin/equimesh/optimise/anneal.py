@@ -20,6 +20,7 @@ from equimesh.optimise.mesh import (
     FIRM,
     FREE,
     HARD,
+    HEIGHTS,
     LOG_T,
     MANNER,
     SETTLE,
@@ -32,18 +33,30 @@ from equimesh.optimise.mesh import (
 from equimesh.optimise.newton import relax_together
 from equimesh.optimise.relax import Queue, clear, push, relax
 from equimesh.optimise.removal import remove_vertex
-from equimesh.optimise.sweep import flip_all, relax_everything, split_at_worst, vertex_waste
+from equimesh.optimise.sweep import (
+    flip_all,
+    lift_all,
+    relax_everything,
+    split_at_worst,
+    vertex_waste,
+)
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 
-__all__ = ["anneal", "exchange", "press"]
+__all__ = ["anneal", "exchange", "press", "relief"]
 
 # For each power p: (p - 1) times the energy of a lattice triangle of error 1, in the mean of the
 # convex and the saddle lattice. Then an error of 1 has the least energy in a given area.
-_PRICE = {SOFT: 7.0, FIRM: 13.5, HARD: 28.0}
+_PRICE = {SOFT: 7.0, FIRM: 28.0, HARD: 58.0}
 _VISITS = 60  # of vertices around an exchange while crystals form
 _OFF = 1.5  # triangles too few or too many around a vertex that make an exchange worth a trial
+_STEPS = 8  # of all vertices between rounds of flips
 _ROUNDS = 4  # of exchanges
-_LASTING = 3e-3  # flips for each triangle below which steps of all vertices no longer matter
+_LASTING = 2e-3  # flips for each triangle below which steps of all vertices no longer matter
+_PATIENCE = 20  # rounds of steps and flips, at most
+_LAST = 0.97  # the least error to anneal for in the end
+# Where a surface is convex or concave one crystal fills it, with hardly a dislocation: its errors
+# may be this large while others are still annealed for less.
+_CRYSTAL = 0.97
 
 
 @compiled
@@ -135,11 +148,12 @@ def anneal(field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queu
     As the power rises the errors come closer together, and their mean may come closer to ``tol``.
     """
     mesh.count[MANNER] = SOFT
+    _relieve(field, mesh, 1.0 if mesh.count[HEIGHTS] else relief(error))
     evaluate_all(field, mesh, error * tol)
     flip_all(field, mesh, error * tol, 50)
     relax_everything(field, mesh, error * tol, queue, 10)
     mesh.count[MANNER] = SETTLE
-    for manner, aim in ((SOFT, error), (FIRM, max(error, 0.95)), (HARD, max(error, 0.97))):
+    for manner, aim in ((SOFT, error), (FIRM, max(error, _LAST))):
         exchange(field, mesh, tol, aim, queue, _VISITS, manner)
 
 
@@ -150,7 +164,7 @@ def exchange(
     error: float,
     queue: Queue,
     visits: int,
-    manner: int = HARD,
+    manner: int = FIRM,
 ) -> None:
     """Rounds of exchanges for ``error`` in one manner, all vertices relaxed before and after.
 
@@ -158,13 +172,15 @@ def exchange(
     """
     mesh.count[MANNER] = manner
     aim = error * tol
+    share = 1.0 if mesh.count[HEIGHTS] else relief(error)
+    _relieve(field, mesh, share)
     evaluate_all(field, mesh, aim)
     _give_way(field, mesh, aim)
     stamp = np.zeros(len(mesh.x), np.int64)
     for number in range(1, _ROUNDS + 1):
         candidates = movable(mesh)
         candidates = candidates[stamp[candidates] == number - 1]
-        waste = vertex_waste(field, mesh, aim, candidates)
+        waste = vertex_waste(field.relieved(share), mesh, aim, candidates)
         off = np.flatnonzero(np.abs(waste) > _OFF)
         order = off[np.argsort(-np.abs(waste[off]), kind="stable")]
         kept = _exchange(
@@ -175,24 +191,33 @@ def exchange(
             break
     _give_way(field, mesh, aim)
     mesh.count[MANNER] = SETTLE
+    _relieve(field, mesh, 1.0)
 
 
-def press(field: KernelField, mesh: Mesh, tol: float) -> None:
+def relief(error: float) -> float:
+    """How many times larger errors may be where the surface is convex or concave."""
+    return max(1.0, _CRYSTAL / error)
+
+
+def _relieve(field: KernelField, mesh: Mesh, share: float) -> None:
+    """Make errors by the model that many times smaller where the surface is convex or concave."""
+    mesh.hinge[1] = 1.0 / share
+    lift_all(field, mesh)
+
+
+def press(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> None:
     """Lower the largest errors as far as moves and flips alone can."""
-    for _ in range(4):
-        flips = 0
-        for manner in (FIRM, HARD):
-            mesh.count[MANNER] = manner
-            relax_together(field, mesh, tol, 10)
-            flips = flip_all(field, mesh, tol, 50)
-        if flips == 0:
+    mesh.count[MANNER] = HARD
+    for _ in range(rounds):
+        relax_together(field, mesh, tol, _STEPS)
+        if flip_all(field, mesh, tol, 50) == 0:
             break
     mesh.count[MANNER] = SETTLE
 
 
 def _give_way(field: KernelField, mesh: Mesh, tol: float) -> None:
     """Steps of all vertices and flips in turn until hardly anything flips."""
-    for _ in range(4):
-        relax_together(field, mesh, tol, 8)
+    for _ in range(_PATIENCE):
+        relax_together(field, mesh, tol, _STEPS)
         if flip_all(field, mesh, tol, 50) <= _LASTING * mesh.count[TRIANGLES]:
             break

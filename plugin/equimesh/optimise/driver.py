@@ -61,7 +61,8 @@ _WORTH = 1.5
 # Cycles aim at errors between the least and 1, by a sequence that repeats none.
 _LEAST = 0.93
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-_PRESSED = 20_000  # triangles up to which true errors are pressed: they are dear
+_FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
+_PRESSES = 4  # rounds of pressing on Taylor's errors, which are cheap
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Taylor's formula.
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
@@ -74,7 +75,8 @@ class Effort:
     ``lattices``: at most so many first meshes are tried where lattices fit, ``drafts`` where they
     must be annealed, as many as ``triangles`` allow. Taylor's errors guide them, with ``rounds`` of
     removal and at most ``visits`` moves of vertices around every trial; ``last_rounds`` and
-    ``last_visits`` the same for the best of them on the true errors. In between the ``kept`` best
+    ``last_visits`` the same for the best of them on the true errors, which are pressed in
+    ``presses`` rounds. In between the ``kept`` best
     drafts go through ``cycles`` of exchange and repair, as many as ``cycled`` triangles allow.
     """
 
@@ -85,15 +87,16 @@ class Effort:
     visits: int
     last_rounds: int
     last_visits: int
+    presses: int
     kept: int
     cycles: int
     cycled: int
 
 
 EFFORTS = {
-    "fast": Effort(1, 1, 0, 2, 60, 0, 0, 1, 0, 0),
-    "balanced": Effort(8, 1, 3_000, 1, 60, 1, 60, 1, 4, 16_000),
-    "best": Effort(200, 24, 60_000, 20, 300, 20, 600, 8, 40, 300_000),
+    "fast": Effort(1, 1, 0, 2, 60, 0, 0, 0, 1, 0, 0),
+    "balanced": Effort(4, 1, 3_000, 0, 60, 1, 60, 2, 1, 2, 1_500),
+    "best": Effort(200, 24, 60_000, 20, 300, 20, 600, 4, 8, 40, 300_000),
 }
 
 
@@ -166,19 +169,19 @@ def triangles_in(mesh: Mesh) -> int:
     return int((mesh.tv[:, 0] >= 0).sum())
 
 
-def _pressed(field: KernelField, mesh: Mesh, tol: float) -> Mesh:
+def _pressed(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> Mesh:
     """The mesh pressed, or as it was where that trades few violations for many slight ones."""
     before = violations(mesh, 1.0)[0]
-    if before == 0:
+    if rounds == 0 or before <= _FEW * triangles_in(mesh):
         return mesh
     trial = copied(mesh)
-    press(field, trial, tol)
+    press(field, trial, tol, rounds)
     return trial if violations(trial, 1.0)[0] < before else mesh
 
 
 def _even_strain(field: KernelField, mesh: Mesh, tol: float) -> None:
     """Press and relax where strain may spread: in a mesh that is no settled lattice."""
-    press(field, mesh, tol)
+    press(field, mesh, tol, _PRESSES)
     mesh.count[MANNER] = SPREAD
     relax_all(field, mesh, tol, make_queue(len(mesh.x)), 60)
     mesh.count[MANNER] = SETTLE
@@ -212,8 +215,7 @@ def optimise(
         queue = make_queue(len(mesh.x))
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
-        if effort != "fast" and triangles_in(mesh) <= _PRESSED:
-            mesh = _pressed(field, mesh, tol)
+        mesh = _pressed(field, mesh, tol, how.presses)
         relax_all(field, mesh, tol, queue, 40)
         report(0.3)
         mesh = _lower_errors(field, mesh, tol, queue)

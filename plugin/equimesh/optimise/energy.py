@@ -5,18 +5,34 @@ and each violation costs a step besides (``SETTLE``): a convex power would trade
 violations for many slight ones and spread them over a settled interior. Where a change is tried and
 undone if it fails, that spreading is wanted, and the price is h^2 (``SPREAD``). Where nothing is
 violated and must not be, a smooth power brings slack together (``EVEN``). Powers alone bring
-crystals about: the higher (``SOFT`` 6, ``FIRM`` 12, ``HARD`` 24), the more do large errors count.
+crystals about: the higher (``SOFT`` 6, ``FIRM`` 24, ``HARD`` 48), the more do large errors count.
 """
 
 from __future__ import annotations
 
 import math
 
-from equimesh.fields.compiled import compiled
+import numpy as np
+from numpy.typing import NDArray
+
+from equimesh.fields.compiled import compiled, inlined
 from equimesh.fields.dispatch import edge_error, inner_error, value
+from equimesh.fields.kernel import KernelField
 from equimesh.fields.patch_kernels import derivatives2
+from equimesh.fields.workers import in_ranges
 from equimesh.optimise.angles import angle_price
-from equimesh.optimise.mesh import EVEN, FIRM, HARD, MANNER, MODEL, SOFT, SPREAD
+from equimesh.optimise.mesh import (
+    EVEN,
+    FIRM,
+    HARD,
+    MANNER,
+    MODEL,
+    SOFT,
+    SPREAD,
+    TRIANGLES,
+    VERTICES,
+    Mesh,
+)
 from equimesh.optimise.model import alike, model_edge, model_inner
 from equimesh.optimise.topology import note_triangle
 
@@ -25,11 +41,13 @@ __all__ = [
     "evaluate_all",
     "lift",
     "penalty",
+    "set_bend",
     "set_edge",
     "set_inner",
 ]
 
 ROOM = 0.98  # how far vertices may leave the surface, in units of the tolerance, where they may
+_RANGE = 2048  # triangles that a thread evaluates at a time
 _CEILING = 1e3  # beyond it, more is not worse: keeps sums finite
 
 
@@ -43,6 +61,7 @@ def penalty(m, e):
         power = e2 * e2 * e2
         if m.count[MANNER] >= FIRM:
             power *= power
+            power *= power
         return power * power if m.count[MANNER] == HARD else power
     if m.count[MANNER] == EVEN:
         return e2 * e2 + (100.0 if e > 1.0 else 0.0)
@@ -54,6 +73,13 @@ def penalty(m, e):
     return small + over + (0.05 if e > 1.0 else 0.0)
 
 
+@inlined
+def set_bend(m, v, hxx, hxy, hyy):
+    """Store second derivatives at a vertex, multiplied where the surface is convex or concave."""
+    share = m.hinge[1] if hxx * hyy > hxy * hxy else 1.0
+    m.h[v, 0], m.h[v, 1], m.h[v, 2] = share * hxx, share * hxy, share * hyy
+
+
 @compiled
 def lift(F, m, v, x, y):
     """Put vertex v at (x, y), its height above the surface kept.
@@ -62,7 +88,7 @@ def lift(F, m, v, x, y):
     """
     if m.count[MODEL] == 1:
         z, _, _, hxx, hxy, hyy = derivatives2(F.frame, F.child, F.coef, x, y)
-        m.h[v, 0], m.h[v, 1], m.h[v, 2] = hxx, hxy, hyy
+        set_bend(m, v, hxx, hxy, hyy)
     else:
         z = value(F, x, y)
         if not math.isfinite(z):
@@ -134,16 +160,35 @@ def set_inner(F, m, tol, t):
 
 
 @compiled
-def evaluate_all(F, m, tol):
-    """Errors of every edge and inside."""
-    for t in range(m.count[0]):
+def _evaluate(F, m, tol, moved, first, last):
+    """Errors of the edges and insides of triangles ``first`` ... ``last`` with a moved vertex."""
+    for t in range(first, last):
         if m.tv[t, 0] < 0:
             continue
+        some = False
         for k in range(3):
-            if m.tn[t, k] < t:  # border, or first seen from here
-                e, s = edge_of(F, m, tol, m.tv[t, k], m.tv[t, (k + 1) % 3])
-                set_edge(m, t, k, e, s)
-        set_inner(F, m, tol, t)
+            a, b = m.tv[t, k], m.tv[t, (k + 1) % 3]
+            if moved[a] or moved[b]:
+                some = True
+                if m.tn[t, k] < t:  # border, or first seen from here
+                    e, s = edge_of(F, m, tol, a, b)
+                    set_edge(m, t, k, e, s)
+        if some:
+            set_inner(F, m, tol, t)
+
+
+def evaluate_all(
+    F: KernelField, m: Mesh, tol: float, moved: NDArray[np.uint8] | None = None
+) -> None:
+    """Errors of every edge and inside, or of those at vertices that ``moved`` (v,).
+
+    Each number is written by one thread and depends on no other.
+    """
+    n = int(m.count[TRIANGLES])
+    if moved is None:
+        moved = np.ones(int(m.count[VERTICES]), np.uint8)
+    flags = moved
+    in_ranges(lambda first, last: _evaluate(F, m, tol, flags, first, last), n, _RANGE)
 
 
 @compiled

@@ -70,7 +70,9 @@ class Mesh(NamedTuple):
     lost_v: NDArray[np.int64]
     ring: NDArray[np.int64]  # (4, 512) scratch: vertices, triangles and indices of a star; a copy
     work: NDArray[np.float64]  # (9, 1024) scratch: a star's tentative errors, spokes and insides
-    hinge: NDArray[np.float64]  # (1,) errors below it cost nothing (``energy.penalty``)
+    # Errors below the first cost nothing (``energy.penalty``); the second is by what the model's
+    # second derivatives are multiplied where it is convex or concave (``energy.set_bend``).
+    hinge: NDArray[np.float64]  # (2,)
     hole_i: NDArray[np.int64]  # (3, 64, 24) scratch of vertex removal
     hole_f: NDArray[np.float64]  # (4, 24, 24)
 
@@ -131,7 +133,7 @@ def build(
         np.zeros((log, 10), np.int64), np.zeros((log, 9)),
         np.zeros((log, 4), np.int64), np.zeros((log, 7)),
         np.zeros(log, np.int64), np.zeros(log, np.int64),
-        np.zeros((4, 512), np.int64), np.zeros((9, 1024)), np.array([0.985]),
+        np.zeros((4, 512), np.int64), np.zeros((9, 1024)), np.array([0.985, 1.0]),
         np.zeros((3, 64, 24), np.int64), np.zeros((4, 24, 24)),
     )  # fmt: skip
 

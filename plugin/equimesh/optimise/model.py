@@ -14,7 +14,7 @@ from equimesh.fields.compiled import compiled
 __all__ = ["alike", "model_edge", "model_inner", "model_rise"]
 
 # Squares of relative differences of second derivatives, beyond which the true errors are asked.
-_ALIKE = 0.02
+_ALIKE = 0.01
 
 
 @compiled

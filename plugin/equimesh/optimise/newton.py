@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from equimesh.fields.compiled import compiled, inlined
 from equimesh.fields.dispatch import gradient
@@ -36,18 +37,29 @@ from equimesh.optimise.topology import ample
 
 __all__ = ["relax_together"]
 
-_CONJUGATE = 60  # conjugate gradients for one step
+_CONJUGATE = 60  # conjugate gradients for one step,
+_SMALL = 1e-4  # or as many as bring the square of the residual down to this share
 _ENOUGH = 2e-3  # relative gain of a step below which the next is not worth its time
+_REACH = 0.4  # how far a vertex may go in one step, in sizes of its star
+_TRIES = 3  # of a step, each with fewer vertices that take part
 
 
 @compiled
-def _total(m):
-    """Energy of all insides and edges, those of the border half."""
+def _price(m, t):
+    """Energy of a triangle's inside and of its half of the edges."""
+    edges = penalty(m, m.ee[t, 0]) + penalty(m, m.ee[t, 1]) + penalty(m, m.ee[t, 2])
+    return penalty(m, m.ie[t]) + 0.5 * edges
+
+
+@compiled
+def _prices(m, out):
+    """Energy of each triangle into ``out`` (t,); returns their sum."""
     total = 0.0
     for t in range(m.count[TRIANGLES]):
+        out[t] = 0.0
         if m.tv[t, 0] >= 0:
-            edges = penalty(m, m.ee[t, 0]) + penalty(m, m.ee[t, 1]) + penalty(m, m.ee[t, 2])
-            total += penalty(m, m.ie[t]) + 0.5 * edges
+            out[t] = _price(m, t)
+            total += out[t]
     return total
 
 
@@ -57,10 +69,11 @@ def _derivatives(m, e):
     e4 = e * e * e * e
     if m.count[MANNER] == SOFT:
         return 6.0 * e4 * e, 30.0 * e4
-    if m.count[MANNER] == FIRM:
-        return 12.0 * e4 * e4 * e * e * e, 132.0 * e4 * e4 * e * e
     p22 = e4 * e4 * e4 * e4 * e4 * e * e
-    return 24.0 * p22 * e, 552.0 * p22
+    if m.count[MANNER] == FIRM:
+        return 24.0 * p22 * e, 552.0 * p22
+    p46 = p22 * p22 * e * e
+    return 48.0 * p46 * e, 2256.0 * p46
 
 
 @inlined
@@ -233,7 +246,7 @@ def _solve(diagonal, beside, ends, damping, downhill, step, work):
         d[v, 0], d[v, 1] = z[v, 0], z[v, 1]
     rz = first = _dot(r, z)
     for _ in range(_CONJUGATE):
-        if not rz > 1e-6 * first:
+        if not rz > _SMALL * first:
             break
         _times(diagonal, beside, ends, damping, d, q)
         dq = _dot(d, q)
@@ -249,6 +262,38 @@ def _solve(diagonal, beside, ends, damping, downhill, step, work):
         for v in range(step.shape[0]):
             for i in range(2):
                 d[v, i] = z[v, i] + rz / before * d[v, i]
+
+
+@compiled
+def _shorten(m, step, reach, spread):
+    """Limit every vertex's step to ``reach`` times the size of its star in that direction.
+
+    ``spread`` (v, 4) is scratch: the second moments of the spokes and their number.
+    """
+    for v in range(step.shape[0]):
+        for i in range(4):
+            spread[v, i] = 0.0
+    for t in range(m.count[TRIANGLES]):
+        if m.tv[t, 0] < 0:
+            continue
+        for k in range(3):
+            a, b = m.tv[t, k], m.tv[t, (k + 1) % 3]
+            dx, dy = m.x[b] - m.x[a], m.y[b] - m.y[a]
+            for v in (a, b):
+                spread[v, 0] += dx * dx
+                spread[v, 1] += dx * dy
+                spread[v, 2] += dy * dy
+                spread[v, 3] += 1.0
+    for v in range(step.shape[0]):
+        xx, xy, yy, n = spread[v, 0], spread[v, 1], spread[v, 2], spread[v, 3]
+        det = xx * yy - xy * xy
+        if det > 0.0:
+            sx, sy = step[v, 0], step[v, 1]
+            far = n * (yy * sx * sx - 2.0 * xy * sx * sy + xx * sy * sy) / det
+            if far > reach * reach:
+                share = reach / math.sqrt(far)
+                step[v, 0] *= share
+                step[v, 1] *= share
 
 
 @compiled
@@ -283,6 +328,36 @@ def _walk(F, m, old, step):
                     turned = True
 
 
+@compiled
+def _hold_back(m, before, step, rise):
+    """Take the steps from vertices around which errors have become dearer.
+
+    ``before`` (t,): price of each triangle at the old places; ``rise`` (v,) is scratch. So one bad
+    spot does not spoil the step of all others.
+    """
+    for v in range(rise.shape[0]):
+        rise[v] = 0.0
+    for t in range(m.count[TRIANGLES]):
+        if m.tv[t, 0] >= 0:
+            more = _price(m, t) - before[t]
+            for k in range(3):
+                rise[m.tv[t, k]] += more
+    for v in range(rise.shape[0]):
+        if rise[v] > 0.0:
+            step[v, 0] = step[v, 1] = 0.0
+
+
+def _moved(
+    field: KernelField, mesh: Mesh, tol: float, old: NDArray[np.float64], step: NDArray[np.float64]
+) -> None:
+    """The mesh a step from ``old``, and its errors where a vertex is not where it was."""
+    n = len(old)
+    x, y = mesh.x[:n].copy(), mesh.y[:n].copy()
+    _walk(field, mesh, old, step)
+    moved = (mesh.x[:n] != x) | (mesh.y[:n] != y)
+    evaluate_all(field, mesh, tol, moved.view(np.uint8))
+
+
 def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> int:
     """Up to ``rounds`` steps in the mesh's manner, a power; returns how many lowered the energy.
 
@@ -294,25 +369,30 @@ def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> i
     ends = ends[: _number_edges(mesh, number, ends)]
     diagonal, beside = np.zeros((n, 3)), np.zeros((len(ends), 4))
     downhill, step, work = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((4, n, 2))
-    energy, damping = _total(mesh), 1e-2
+    spread = np.zeros((n, 4))
+    before, after, rise = np.zeros(len(number)), np.zeros(len(number)), np.zeros(n)
+    energy, damping = _prices(mesh, before), 1e-2
     for done in range(rounds):
         _assemble(field, mesh, tol, number, diagonal, beside, downhill, np.zeros((3, 2)))
         old = np.stack([mesh.x[:n], mesh.y[:n]], 1)
         now = math.inf
         for _ in range(4):
             _solve(diagonal, beside, ends, damping, downhill, step, work)
-            _walk(field, mesh, old, step)
-            evaluate_all(field, mesh, tol)
-            now = _total(mesh)
+            _shorten(mesh, step, _REACH, spread)
+            for _ in range(_TRIES):
+                _moved(field, mesh, tol, old, step)
+                now = _prices(mesh, after)
+                if now < energy:
+                    break
+                _hold_back(mesh, before, step, rise)
             if now < energy:
                 break
             damping *= 10.0
         if not now < energy:
-            _walk(field, mesh, old, np.zeros((n, 2)))
-            evaluate_all(field, mesh, tol)
+            _moved(field, mesh, tol, old, np.zeros((n, 2)))
             return done
         damping = max(0.2 * damping, 1e-6)
         if energy - now < _ENOUGH * energy:
             return done + 1
-        energy = now
+        energy, before, after = now, after, before
     return rounds
