@@ -126,6 +126,29 @@ def test_energy_falls_and_no_triangle_turns_over(seed, text, power):
         np.testing.assert_array_equal(old, new)
 
 
+def test_one_bad_spot_does_not_stop_the_others():
+    """A fixed vertex near another's place: its triangles' energy is beyond all others' sum."""
+    field, tol = FIELDS["x**2+y**2"], 0.0075  # 0.15^2 / 3, the lattice's own error
+    mesh = lattice(field, 6)
+    there = np.stack([mesh.x, mesh.y], 1)
+    shaken(field, mesh, 3, 0.03)
+    free = np.flatnonzero(mesh.kind == FREE)
+    bad = free[np.argmax(there[free, 0])]
+    lift(field, mesh, bad, there[bad, 0] - 0.1, there[bad, 1])
+    mesh.kind[bad] = FIXED
+    mesh.count[MANNER] = FIRM
+    evaluate_all(field, mesh, tol)
+    assert np.abs(mesh.ie).max() ** 24 > 1e5 * np.median(np.abs(mesh.ie[: mesh.count[0]])) ** 24
+    far = free[there[free, 0] < 0.0]
+
+    def off():
+        return np.hypot(mesh.x[far] - there[far, 0], mesh.y[far] - there[far, 1]).mean()
+
+    before = off()
+    relax_together(field, mesh, tol, 40)
+    assert off() < 0.5 * before
+
+
 def twice_areas(mesh):
     a, b, c = mesh.tv[: mesh.count[0]].T
     x, y = mesh.x, mesh.y

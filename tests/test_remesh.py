@@ -538,3 +538,11 @@ def test_bad_input_is_refused_in_one_sentence(arguments):
         equimesh.remesh(**arguments)
     assert str(caught.value).endswith(".")
     assert "\n" not in str(caught.value)
+
+
+def test_long_meshes_of_mixed_functions_come_close_to_the_lower_bound():
+    """Crystals where it is convex, seams where it is a saddle, and little between them."""
+    result = equimesh.remesh(FRANKE, 3.913e-4, UNIT, effort="fast")
+    assert result.status.ok
+    assert result.lower_bound == pytest.approx(5000, rel=1e-3)
+    assert len(result.triangles) <= 1.07 * result.lower_bound

@@ -3,9 +3,10 @@
 Moves of one vertex at a time carry strain one spacing further with each visit, and stop where one
 vertex alone gains nothing; around a dislocation a whole neighbourhood has to give way. With slopes
 g of the errors by the places of their vertices the matrix is ``sum phi''(e) g g^T``, a 2 x 2 block
-for each vertex and each edge. Conjugate gradients solve it well enough (truncated Newton method,
-Nocedal and Wright, Numerical Optimization, ch. 7), damped after Levenberg and Marquardt. The mesh
-keeps its connectivity.
+for each vertex and each edge; phi is a power, or its logarithm where that is large. Conjugate
+gradients solve it well enough (truncated Newton method, Nocedal and Wright, Numerical Optimization,
+ch. 7), damped after Levenberg and Marquardt. No step goes far, and vertices around which it does
+harm do not take it. The mesh keeps its connectivity.
 """
 
 from __future__ import annotations
@@ -39,16 +40,23 @@ __all__ = ["relax_together"]
 
 _CONJUGATE = 60  # conjugate gradients for one step,
 _SMALL = 1e-4  # or as many as bring the square of the residual down to this share
-_ENOUGH = 2e-3  # relative gain of a step below which the next is not worth its time
+_ENOUGH = 4e-3  # relative gain of a step below which the next is not worth its time
 _REACH = 0.4  # how far a vertex may go in one step, in sizes of its star
+_DEAR = 10.0  # powers of errors above this count by their logarithm: else one would hide the rest
 _TRIES = 3  # of a step, each with fewer vertices that take part
+
+
+@inlined
+def _judged(m, e):
+    """The energy of an error; one that is dear counts by its logarithm."""
+    return math.log1p(penalty(m, e) / _DEAR)
 
 
 @compiled
 def _price(m, t):
     """Energy of a triangle's inside and of its half of the edges."""
-    edges = penalty(m, m.ee[t, 0]) + penalty(m, m.ee[t, 1]) + penalty(m, m.ee[t, 2])
-    return penalty(m, m.ie[t]) + 0.5 * edges
+    edges = _judged(m, m.ee[t, 0]) + _judged(m, m.ee[t, 1]) + _judged(m, m.ee[t, 2])
+    return _judged(m, m.ie[t]) + 0.5 * edges
 
 
 @compiled
@@ -65,15 +73,15 @@ def _prices(m, out):
 
 @compiled
 def _derivatives(m, e):
-    """phi'(e) and phi''(e) of a power, e >= 0."""
+    """phi'(e) and, but for what would make it negative, phi''(e), for e >= 0."""
     e4 = e * e * e * e
-    if m.count[MANNER] == SOFT:
-        return 6.0 * e4 * e, 30.0 * e4
-    p22 = e4 * e4 * e4 * e4 * e4 * e * e
-    if m.count[MANNER] == FIRM:
-        return 24.0 * p22 * e, 552.0 * p22
-    p46 = p22 * p22 * e * e
-    return 48.0 * p46 * e, 2256.0 * p46
+    p, below = 6.0, e4  # the power, and e^(p - 2)
+    if m.count[MANNER] != SOFT:
+        p, below = 24.0, e4 * e4 * e4 * e4 * e4 * e * e
+        if m.count[MANNER] != FIRM:
+            p, below = 48.0, below * below * e * e
+    share = 1.0 / (_DEAR + below * e * e)
+    return share * p * below * e, share * p * (p - 1.0) * below
 
 
 @inlined
