@@ -101,9 +101,7 @@ def first_mesh(
         corner = np.where(nodes.corner, nodes.side, -1)
         ring = _merged(nodes.points, nodes.following, nodes.side, corner)
         chains = _equidistributed(kernel, local, height, floor)
-        relieved = kernel
-        if error is not None and not two_sided:
-            relieved = kernel.relieved(relief(error))
+        relieved = kernel if error is None else kernel.relieved(relief(error, two_sided))
         inner = lattice_points(
             relieved, local, nodes, (reached if error is None else error) * aim, floor,
             int(expected) + 10,

@@ -49,11 +49,7 @@ class KernelField(NamedTuple):
 
         Where it is convex or concave an edge may then have twice the interpolation error.
         """
-        if self.kind != PATCHES:
-            return self
-        frame = self.frame.copy()
-        frame[3] = 2.0
-        return self._replace(frame=frame)
+        return self.relieved(2.0) if self.kind == PATCHES else self
 
     def relieved(self, share: float) -> KernelField:
         """The same field for lattices whose errors are ``share`` times larger where it is convex

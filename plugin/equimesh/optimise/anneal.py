@@ -148,7 +148,7 @@ def anneal(field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queu
     As the power rises the errors come closer together, and their mean may come closer to ``tol``.
     """
     mesh.count[MANNER] = SOFT
-    _relieve(field, mesh, 1.0 if mesh.count[HEIGHTS] else relief(error))
+    _relieve(field, mesh, relief(error, bool(mesh.count[HEIGHTS])))
     evaluate_all(field, mesh, error * tol)
     flip_all(field, mesh, error * tol, 50)
     relax_everything(field, mesh, error * tol, queue, 10)
@@ -172,7 +172,7 @@ def exchange(
     """
     mesh.count[MANNER] = manner
     aim = error * tol
-    share = 1.0 if mesh.count[HEIGHTS] else relief(error)
+    share = relief(error, bool(mesh.count[HEIGHTS]))
     _relieve(field, mesh, share)
     evaluate_all(field, mesh, aim)
     _give_way(field, mesh, aim)
@@ -194,9 +194,12 @@ def exchange(
     _relieve(field, mesh, 1.0)
 
 
-def relief(error: float) -> float:
-    """How many times larger errors may be where the surface is convex or concave."""
-    return max(1.0, _CRYSTAL / error)
+def relief(error: float, two_sided: bool) -> float:
+    """How many times larger than ``error`` errors may be where the surface is convex or concave.
+
+    ``two_sided``: vertices may leave the surface; then they are all alike.
+    """
+    return 1.0 if two_sided else max(1.0, _CRYSTAL / error)
 
 
 def _relieve(field: KernelField, mesh: Mesh, share: float) -> None:

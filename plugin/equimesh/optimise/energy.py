@@ -185,9 +185,7 @@ def evaluate_all(
     Each number is written by one thread and depends on no other.
     """
     n = int(m.count[TRIANGLES])
-    if moved is None:
-        moved = np.ones(int(m.count[VERTICES]), np.uint8)
-    flags = moved
+    flags = np.ones(int(m.count[VERTICES]), np.uint8) if moved is None else moved
     in_ranges(lambda first, last: _evaluate(F, m, tol, flags, first, last), n, _RANGE)
 
 

@@ -20,6 +20,7 @@ from equimesh.fields.compiled import compiled, inlined
 from equimesh.fields.dispatch import gradient
 from equimesh.fields.kernel import KernelField
 from equimesh.optimise.angles import angle_slope, by_angle
+from equimesh.optimise.conjugate import solve
 from equimesh.optimise.energy import evaluate_all, lift, penalty
 from equimesh.optimise.mesh import (
     FIRM,
@@ -38,8 +39,6 @@ from equimesh.optimise.topology import ample
 
 __all__ = ["relax_together"]
 
-_CONJUGATE = 60  # conjugate gradients for one step,
-_SMALL = 1e-4  # or as many as bring the square of the residual down to this share
 _ENOUGH = 4e-3  # relative gain of a step below which the next is not worth its time
 _REACH = 0.4  # how far a vertex may go in one step, in sizes of its star
 _DEAR = 10.0  # powers of errors above this count by their logarithm: else one would hide the rest
@@ -203,76 +202,6 @@ def _number_edges(m, number, ends):
 
 
 @compiled
-def _times(diagonal, beside, ends, damping, x, out):
-    """``out`` = the damped matrix times x."""
-    more = 1.0 + damping
-    for v in range(x.shape[0]):
-        out[v, 0] = more * diagonal[v, 0] * x[v, 0] + diagonal[v, 1] * x[v, 1]
-        out[v, 1] = diagonal[v, 1] * x[v, 0] + more * diagonal[v, 2] * x[v, 1]
-    for n in range(ends.shape[0]):
-        a, b = ends[n, 0], ends[n, 1]
-        out[a, 0] += beside[n, 0] * x[b, 0] + beside[n, 1] * x[b, 1]
-        out[a, 1] += beside[n, 2] * x[b, 0] + beside[n, 3] * x[b, 1]
-        out[b, 0] += beside[n, 0] * x[a, 0] + beside[n, 2] * x[a, 1]
-        out[b, 1] += beside[n, 1] * x[a, 0] + beside[n, 3] * x[a, 1]
-
-
-@compiled
-def _precondition(diagonal, damping, r, out):
-    """Divide by the vertices' own blocks; what has none (fixed, gone) stays."""
-    for v in range(r.shape[0]):
-        a, b, c = (1.0 + damping) * diagonal[v, 0], diagonal[v, 1], (1.0 + damping) * diagonal[v, 2]
-        least = 1e-9 * (a + c)
-        a, c = a + least, c + least
-        det = a * c - b * b
-        if det > 0.0:
-            out[v, 0], out[v, 1] = (
-                (c * r[v, 0] - b * r[v, 1]) / det,
-                (a * r[v, 1] - b * r[v, 0]) / det,
-            )
-        else:
-            out[v, 0] = out[v, 1] = 0.0
-
-
-@compiled
-def _dot(x, y):
-    total = 0.0
-    for v in range(x.shape[0]):
-        total += x[v, 0] * y[v, 0] + x[v, 1] * y[v, 1]
-    return total
-
-
-@compiled
-def _solve(diagonal, beside, ends, damping, downhill, step, work):
-    """Conjugate gradients for the damped step; ``work`` (4, v, 2)."""
-    r, z, d, q = work[0], work[1], work[2], work[3]
-    for v in range(step.shape[0]):
-        for i in range(2):
-            step[v, i], r[v, i] = 0.0, downhill[v, i]
-    _precondition(diagonal, damping, r, z)
-    for v in range(step.shape[0]):
-        d[v, 0], d[v, 1] = z[v, 0], z[v, 1]
-    rz = first = _dot(r, z)
-    for _ in range(_CONJUGATE):
-        if not rz > _SMALL * first:
-            break
-        _times(diagonal, beside, ends, damping, d, q)
-        dq = _dot(d, q)
-        if not dq > 0.0:
-            break
-        length = rz / dq
-        for v in range(step.shape[0]):
-            for i in range(2):
-                step[v, i] += length * d[v, i]
-                r[v, i] -= length * q[v, i]
-        _precondition(diagonal, damping, r, z)
-        before, rz = rz, _dot(r, z)
-        for v in range(step.shape[0]):
-            for i in range(2):
-                d[v, i] = z[v, i] + rz / before * d[v, i]
-
-
-@compiled
 def _shorten(m, step, reach, spread):
     """Limit every vertex's step to ``reach`` times the size of its star in that direction.
 
@@ -366,6 +295,30 @@ def _moved(
     evaluate_all(field, mesh, tol, moved.view(np.uint8))
 
 
+def _tried(
+    field: KernelField,
+    mesh: Mesh,
+    tol: float,
+    old: NDArray[np.float64],
+    step: NDArray[np.float64],
+    energy: float,
+    before: NDArray[np.float64],
+    after: NDArray[np.float64],
+) -> float:
+    """The energy after a step from ``old``, taken by fewer vertices until it is below ``energy``.
+
+    ``before`` and ``after`` (t,): energies of the triangles, the second written.
+    """
+    now, rise = math.inf, np.zeros(len(old))
+    for _ in range(_TRIES):
+        _moved(field, mesh, tol, old, step)
+        now = _prices(mesh, after)
+        if now < energy:
+            break
+        _hold_back(mesh, before, step, rise)
+    return now
+
+
 def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> int:
     """Up to ``rounds`` steps in the mesh's manner, a power; returns how many lowered the energy.
 
@@ -378,21 +331,16 @@ def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> i
     diagonal, beside = np.zeros((n, 3)), np.zeros((len(ends), 4))
     downhill, step, work = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((4, n, 2))
     spread = np.zeros((n, 4))
-    before, after, rise = np.zeros(len(number)), np.zeros(len(number)), np.zeros(n)
+    before, after = np.zeros(len(number)), np.zeros(len(number))
     energy, damping = _prices(mesh, before), 1e-2
     for done in range(rounds):
         _assemble(field, mesh, tol, number, diagonal, beside, downhill, np.zeros((3, 2)))
         old = np.stack([mesh.x[:n], mesh.y[:n]], 1)
         now = math.inf
         for _ in range(4):
-            _solve(diagonal, beside, ends, damping, downhill, step, work)
+            solve(diagonal, beside, ends, damping, downhill, step, work)
             _shorten(mesh, step, _REACH, spread)
-            for _ in range(_TRIES):
-                _moved(field, mesh, tol, old, step)
-                now = _prices(mesh, after)
-                if now < energy:
-                    break
-                _hold_back(mesh, before, step, rise)
+            now = _tried(field, mesh, tol, old, step, energy, before, after)
             if now < energy:
                 break
             damping *= 10.0
