@@ -84,7 +84,7 @@ def finished(
 ) -> tuple[FirstMesh, Mesh, bool]:
     """The draft that needs the fewest triangles on the true errors, its mesh and if that is good.
 
-    Drafts that Taylor's errors rank first need not end there. ``most``: see ``driver.optimise``.
+    Drafts that Hermite's errors rank first need not end there. ``most``: see ``driver.optimise``.
     """
 
     def optimised(number: int) -> tuple[Mesh, bool]:

@@ -35,7 +35,6 @@ from equimesh.optimise.relax import Queue, clear, push, relax
 from equimesh.optimise.removal import remove_vertex
 from equimesh.optimise.sweep import (
     flip_all,
-    lift_all,
     relax_everything,
     split_at_worst,
     vertex_waste,
@@ -148,7 +147,7 @@ def anneal(field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queu
     As the power rises the errors come closer together, and their mean may come closer to ``tol``.
     """
     mesh.count[MANNER] = SOFT
-    _relieve(field, mesh, relief(error, bool(mesh.count[HEIGHTS])))
+    mesh.hinge[1] = 1.0 / relief(error, bool(mesh.count[HEIGHTS]))
     evaluate_all(field, mesh, error * tol)
     flip_all(field, mesh, error * tol, 50)
     relax_everything(field, mesh, error * tol, queue, 10)
@@ -173,7 +172,7 @@ def exchange(
     mesh.count[MANNER] = manner
     aim = error * tol
     share = relief(error, bool(mesh.count[HEIGHTS]))
-    _relieve(field, mesh, share)
+    mesh.hinge[1] = 1.0 / share
     evaluate_all(field, mesh, aim)
     _give_way(field, mesh, aim)
     stamp = np.zeros(len(mesh.x), np.int64)
@@ -191,7 +190,7 @@ def exchange(
             break
     _give_way(field, mesh, aim)
     mesh.count[MANNER] = SETTLE
-    _relieve(field, mesh, 1.0)
+    mesh.hinge[1] = 1.0
 
 
 def relief(error: float, two_sided: bool) -> float:
@@ -200,12 +199,6 @@ def relief(error: float, two_sided: bool) -> float:
     ``two_sided``: vertices may leave the surface; then they are all alike.
     """
     return 1.0 if two_sided else max(1.0, _CRYSTAL / error)
-
-
-def _relieve(field: KernelField, mesh: Mesh, share: float) -> None:
-    """Make errors by the model that many times smaller where the surface is convex or concave."""
-    mesh.hinge[1] = 1.0 / share
-    lift_all(field, mesh)
 
 
 def press(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> None:

@@ -62,9 +62,9 @@ _WORTH = 1.5
 _LEAST = 0.93
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
-_PRESSES = 4  # rounds of pressing on Taylor's errors, which are cheap
+_PRESSES = 4  # rounds of pressing on Hermite's errors, which are cheap
 _IDLE = 20  # cycles without a gain after which there is no more
-# Rounds of removal and visits on data, which have no Taylor's formula.
+# Rounds of removal and visits on data, which have no Hermite's formula.
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
 
 
@@ -73,7 +73,7 @@ class Effort:
     """How long to look for vertices that can go.
 
     ``lattices``: at most so many first meshes are tried where lattices fit, ``drafts`` where they
-    must be annealed, as many as ``triangles`` allow. Taylor's errors guide them, with ``rounds`` of
+    must be annealed, as many as ``triangles`` allow. Hermite's errors guide them, with ``rounds`` of
     removal and at most ``visits`` moves of vertices around every trial; ``last_rounds`` and
     ``last_visits`` the same for the best of them on the true errors, which are pressed in
     ``presses`` rounds. In between the ``kept`` best
@@ -102,7 +102,7 @@ EFFORTS = {
 
 @contextmanager
 def modelled(field: KernelField, mesh: Mesh) -> Iterator[None]:
-    """Within it errors are those of Taylor's formula wherever that is good (``model.py``)."""
+    """Within it errors are those of Hermite's formula wherever that is good (``model.py``)."""
     lift_all(field, mesh)
     mesh.count[MODEL] = 1
     yield
@@ -121,7 +121,7 @@ def seam_share(field: KernelField, mesh: Mesh, tol: float) -> float:
 
 
 def draft(field: KernelField, mesh: Mesh, tol: float, effort: str, annealed: float | None) -> Mesh:
-    """A mesh with few triangles whose errors by Taylor's formula keep the tolerance.
+    """A mesh with few triangles whose errors by Hermite's formula keep the tolerance.
 
     ``annealed``: error to anneal the mesh for at first; None leaves the lattice as it is laid.
     """

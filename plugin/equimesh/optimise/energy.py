@@ -33,7 +33,7 @@ from equimesh.optimise.mesh import (
     VERTICES,
     Mesh,
 )
-from equimesh.optimise.model import alike, model_edge, model_inner
+from equimesh.optimise.model import bowl, model_edge, model_inner, smooth_edge, smooth_inside
 from equimesh.optimise.topology import note_triangle
 
 __all__ = [
@@ -41,9 +41,11 @@ __all__ = [
     "evaluate_all",
     "lift",
     "penalty",
-    "set_bend",
+    "relief_along",
+    "relief_inside",
     "set_edge",
     "set_inner",
+    "set_jet",
 ]
 
 ROOM = 0.98  # how far vertices may leave the surface, in units of the tolerance, where they may
@@ -73,11 +75,13 @@ def penalty(m, e):
     return small + over + (0.05 if e > 1.0 else 0.0)
 
 
-@inlined
-def set_bend(m, v, hxx, hxy, hyy):
-    """Store second derivatives at a vertex, multiplied where the surface is convex or concave."""
-    share = m.hinge[1] if hxx * hyy > hxy * hxy else 1.0
-    m.h[v, 0], m.h[v, 1], m.h[v, 2] = share * hxx, share * hxy, share * hyy
+@compiled
+def set_jet(F, m, v, x, y):
+    """Store first and second derivatives of a smooth field at (x, y) for v; returns its height."""
+    z, gx, gy, hxx, hxy, hyy = derivatives2(F.frame, F.child, F.coef, x, y)
+    m.jet[v, 0], m.jet[v, 1] = gx, gy
+    m.jet[v, 2], m.jet[v, 3], m.jet[v, 4] = hxx, hxy, hyy
+    return z
 
 
 @compiled
@@ -87,8 +91,7 @@ def lift(F, m, v, x, y):
     False, and nothing changed, outside the field.
     """
     if m.count[MODEL] == 1:
-        z, _, _, hxx, hxy, hyy = derivatives2(F.frame, F.child, F.coef, x, y)
-        set_bend(m, v, hxx, hxy, hyy)
+        z = set_jet(F, m, v, x, y)
     else:
         z = value(F, x, y)
         if not math.isfinite(z):
@@ -97,12 +100,24 @@ def lift(F, m, v, x, y):
     return True
 
 
+@inlined
+def relief_along(m, a, b):
+    """By what the model's error of an edge is multiplied."""
+    return 1.0 - 0.5 * (1.0 - m.hinge[1]) * (bowl(m, a) + bowl(m, b))
+
+
+@inlined
+def relief_inside(m, a, b, c):
+    """By what the model's error inside a triangle is multiplied."""
+    return 1.0 - (1.0 - m.hinge[1]) / 3.0 * (bowl(m, a) + bowl(m, b) + bowl(m, c))
+
+
 @compiled
 def edge_of(F, m, tol, a, b):
     """(signed error / tol, position) of the segment from vertex a to vertex b."""
-    if m.count[MODEL] == 1 and alike(m, a, b):
+    if m.count[MODEL] == 1 and smooth_edge(m, a, b):
         e, s = model_edge(m, a, b)
-        return e / tol, s
+        return e * relief_along(m, a, b) / tol, s
     e, s = edge_error(F, m.x[a], m.y[a], m.z[a], m.x[b], m.y[b], m.z[b], 1e3 * tol)
     return e / tol, s
 
@@ -110,9 +125,9 @@ def edge_of(F, m, tol, a, b):
 @compiled
 def _inner_error(F, m, tol, a, b, c):
     """(signed error / tol, x, y) inside the triangle a, b, c."""
-    if m.count[MODEL] == 1 and alike(m, a, b) and alike(m, b, c) and alike(m, c, a):
+    if m.count[MODEL] == 1 and smooth_inside(m, a, b, c):
         e, x, y = model_inner(m, a, b, c)
-        return e / tol, x, y
+        return e * relief_inside(m, a, b, c) / tol, x, y
     e, x, y = inner_error(
         F,
         m.x[a],

@@ -45,7 +45,7 @@ class Mesh(NamedTuple):
     y: NDArray[np.float64]
     z: NDArray[np.float64]
     w: NDArray[np.float64]  # (v,) height above the surface; may differ from 0 where count[HEIGHTS]
-    h: NDArray[np.float64]  # (v, 3) second derivatives, where count[MODEL] is on
+    jet: NDArray[np.float64]  # (v, 5) f_x, f_y, f_xx, f_xy, f_yy, where count[MODEL] is on
     kind: NDArray[np.int8]  # FREE, SLIDES along its side, FIXED, GONE
     side: NDArray[np.int64]  # row of ``sides`` on which a sliding vertex lies
     v2t: NDArray[np.int64]  # one triangle of each vertex
@@ -65,13 +65,13 @@ class Mesh(NamedTuple):
     log_ti: NDArray[np.int64]  # journal: triangle, vertices, neighbours, walls
     log_tf: NDArray[np.float64]  # errors
     log_vi: NDArray[np.int64]  # vertex, kind, side, triangle
-    log_vf: NDArray[np.float64]  # position
+    log_vf: NDArray[np.float64]  # position, height above the surface, jet
     lost_t: NDArray[np.int64]  # slots given up while recording
     lost_v: NDArray[np.int64]
     ring: NDArray[np.int64]  # (4, 512) scratch: vertices, triangles and indices of a star; a copy
     work: NDArray[np.float64]  # (9, 1024) scratch: a star's tentative errors, spokes and insides
-    # Errors below the first cost nothing (``energy.penalty``); the second is by what the model's
-    # second derivatives are multiplied where it is convex or concave (``energy.set_bend``).
+    # Errors below the first cost nothing (``energy.penalty``); the second is by what errors are
+    # multiplied where the surface is convex or concave, while count[MODEL] is on.
     hinge: NDArray[np.float64]  # (2,)
     hole_i: NDArray[np.int64]  # (3, 64, 24) scratch of vertex removal
     hole_f: NDArray[np.float64]  # (4, 24, 24)
@@ -125,13 +125,13 @@ def build(
     return Mesh(
         padded(points[:, 0], nv), padded(points[:, 1], nv), padded(points[:, 2], nv),
         np.zeros(nv),
-        np.zeros((nv, 3)),
+        np.zeros((nv, 5)),
         kinds, side_of, v2t, tv, tn, wall,
         np.zeros((nt, 3)), np.zeros((nt, 3)), np.zeros(nt), np.zeros(nt), np.zeros(nt),
         np.zeros(nt, np.int64), np.ascontiguousarray(sides, float),
         np.zeros(nt, np.int64), np.zeros(nv, np.int64), count,
         np.zeros((log, 10), np.int64), np.zeros((log, 9)),
-        np.zeros((log, 4), np.int64), np.zeros((log, 7)),
+        np.zeros((log, 4), np.int64), np.zeros((log, 9)),
         np.zeros(log, np.int64), np.zeros(log, np.int64),
         np.zeros((4, 512), np.int64), np.zeros((9, 1024)), np.array([0.985, 1.0]),
         np.zeros((3, 64, 24), np.int64), np.zeros((4, 24, 24)),
@@ -170,7 +170,7 @@ def enlarged(mesh: Mesh) -> Mesh:
             new[:] = -1
         new[: len(old)] = old
         grown[name] = new
-    for name in ("x", "y", "z", "w", "h", "kind", "side", "v2t", "spare_v"):
+    for name in ("x", "y", "z", "w", "jet", "kind", "side", "v2t", "spare_v"):
         old = getattr(mesh, name)
         new = np.full((2 * len(old), *old.shape[1:]), GONE if name == "kind" else 0, old.dtype)
         new[: len(old)] = old

@@ -16,7 +16,7 @@ from equimesh.fields.kernel import PATCHES
 from equimesh.optimise.angles import angle_slope, by_angle
 from equimesh.optimise.energy import ROOM, edge_of, inner_of, lift, penalty
 from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, MODEL, SLIDES
-from equimesh.optimise.model import model_rise
+from equimesh.optimise.model import edge_gradient, inner_gradient
 from equimesh.optimise.topology import ample, flip, note_triangle, note_vertex, star
 
 __all__ = ["move_vertex", "star_energy", "try_flip"]
@@ -120,7 +120,7 @@ def _residuals(F, m, tol, v, n, closed):
     """
     vx, vy = m.x[v], m.y[v]
     model = m.count[MODEL] == 1
-    gx, gy = (0.0, 0.0) if model else gradient(F, vx, vy)
+    gx, gy = (m.jet[v, 0], m.jet[v, 1]) if model else gradient(F, vx, vy)
     if not (math.isfinite(gx) and math.isfinite(gy)):
         return 0
     count = 0
@@ -133,8 +133,10 @@ def _residuals(F, m, tol, v, n, closed):
             t, k = m.ring[1, n - 1], (m.ring[2, n - 1] + 2) % 3
             e, s = m.ee[t, k], 1.0 - m.ep[t, k]
         r = m.ring[0, i]
-        px, py = vx + s * (m.x[r] - vx), vy + s * (m.y[r] - vy)
-        hx, hy = model_rise(m, v, r, px - vx, py - vy) if model else gradient(F, px, py)
+        if model:
+            hx, hy = edge_gradient(m, v, r, s)
+        else:
+            hx, hy = gradient(F, vx + s * (m.x[r] - vx), vy + s * (m.y[r] - vy))
         if math.isfinite(hx) and math.isfinite(hy):
             w = (1.0 - s) * (1.0 if e > 0.0 else -1.0)
             m.work[5, count] = abs(e) - m.hinge[0]
@@ -156,7 +158,7 @@ def _residuals(F, m, tol, v, n, closed):
         area = (m.x[p] - vx) * (m.y[q] - vy) - (m.y[p] - vy) * (m.x[q] - vx)
         x, y = m.ix[t], m.iy[t]
         w = ((m.x[p] - x) * (m.y[q] - y) - (m.y[p] - y) * (m.x[q] - x)) / area
-        hx, hy = model_rise(m, v, p, x - vx, y - vy) if model else gradient(F, x, y)
+        hx, hy = inner_gradient(m, v, p, q, x, y) if model else gradient(F, x, y)
         if math.isfinite(hx) and math.isfinite(hy):
             w *= 1.0 if e > 0.0 else -1.0
             m.work[5, count] = abs(e) - m.hinge[0]
@@ -244,7 +246,7 @@ def move_vertex(F, m, tol, v):
     ):
         return 0.0
     x, y, z, w = m.x[v], m.y[v], m.z[v], m.w[v]
-    hxx, hxy, hyy = m.h[v, 0], m.h[v, 1], m.h[v, 2]
+    gx, gy, hxx, hxy, hyy = m.jet[v, 0], m.jet[v, 1], m.jet[v, 2], m.jet[v, 3], m.jet[v, 4]
     note_vertex(m, v)
     scale = 1.0
     for _ in range(4):
@@ -264,7 +266,8 @@ def move_vertex(F, m, tol, v):
                 return before - after
         scale *= 0.4
     m.x[v], m.y[v], m.z[v], m.w[v] = x, y, z, w
-    m.h[v, 0], m.h[v, 1], m.h[v, 2] = hxx, hxy, hyy
+    m.jet[v, 0], m.jet[v, 1] = gx, gy
+    m.jet[v, 2], m.jet[v, 3], m.jet[v, 4] = hxx, hxy, hyy
     if F.kind != PATCHES and kind == FREE:
         return _probe(F, m, tol, v, n, closed, before)
     return 0.0

@@ -21,7 +21,13 @@ from equimesh.fields.dispatch import gradient
 from equimesh.fields.kernel import KernelField
 from equimesh.optimise.angles import angle_slope, by_angle
 from equimesh.optimise.conjugate import solve
-from equimesh.optimise.energy import evaluate_all, lift, penalty
+from equimesh.optimise.energy import (
+    evaluate_all,
+    lift,
+    penalty,
+    relief_along,
+    relief_inside,
+)
 from equimesh.optimise.mesh import (
     FIRM,
     FIXED,
@@ -34,7 +40,7 @@ from equimesh.optimise.mesh import (
     VERTICES,
     Mesh,
 )
-from equimesh.optimise.model import alike, model_rise
+from equimesh.optimise.model import edge_gradient, inner_gradient, smooth_edge, smooth_inside
 from equimesh.optimise.topology import ample
 
 __all__ = ["relax_together"]
@@ -84,15 +90,14 @@ def _derivatives(m, e):
 
 
 @inlined
-def _slope(F, m, v, r, weight, x, y, exact):
-    """Derivative, by the place of v, of an error whose peak is at (x, y): the error there is
-    stationary in (x, y), so only the plane above it moves, v having this weight in it."""
-    if exact:
-        gx, gy = gradient(F, m.x[v], m.y[v])
-        hx, hy = gradient(F, x, y)
-        return weight * (hx - gx), weight * (hy - gy)
-    hx, hy = model_rise(m, v, r, x - m.x[v], y - m.y[v])
-    return weight * hx, weight * hy
+def _slope(F, m, v, weight, hx, hy):
+    """Derivative, by the place of v, of an error at whose peak the surface has the gradient
+    (hx, hy): the error is stationary there, so only the plane above it moves, v having this weight
+    in it."""
+    if m.count[MODEL] == 1:
+        return weight * (hx - m.jet[v, 0]), weight * (hy - m.jet[v, 1])
+    gx, gy = gradient(F, m.x[v], m.y[v])
+    return weight * (hx - gx), weight * (hy - gy)
 
 
 @inlined
@@ -101,10 +106,13 @@ def _edge_slopes(F, m, tol, t, k, g):
     i, j = k, (k + 1) % 3
     a, b, s = m.tv[t, i], m.tv[t, j], m.ep[t, k]
     sign = (1.0 if m.ee[t, k] > 0.0 else -1.0) / tol
-    exact = m.count[MODEL] == 0 or not alike(m, a, b)
-    x, y = m.x[a] + s * (m.x[b] - m.x[a]), m.y[a] + s * (m.y[b] - m.y[a])
-    g[i, 0], g[i, 1] = _slope(F, m, a, b, sign * (1.0 - s), x, y, exact)
-    g[j, 0], g[j, 1] = _slope(F, m, b, a, sign * s, x, y, exact)
+    if m.count[MODEL] == 1 and smooth_edge(m, a, b):
+        sign *= relief_along(m, a, b)
+        hx, hy = edge_gradient(m, a, b, s)
+    else:
+        hx, hy = gradient(F, m.x[a] + s * (m.x[b] - m.x[a]), m.y[a] + s * (m.y[b] - m.y[a]))
+    g[i, 0], g[i, 1] = _slope(F, m, a, sign * (1.0 - s), hx, hy)
+    g[j, 0], g[j, 1] = _slope(F, m, b, sign * s, hx, hy)
     g[(k + 2) % 3, 0] = g[(k + 2) % 3, 1] = 0.0
 
 
@@ -118,13 +126,17 @@ def _inner_slopes(F, m, tol, t, g):
         return
     a, b, c = m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]
     x, y = m.ix[t], m.iy[t]
-    exact = m.count[MODEL] == 0 or not (alike(m, a, b) and alike(m, b, c) and alike(m, c, a))
     area = (m.x[b] - m.x[a]) * (m.y[c] - m.y[a]) - (m.y[b] - m.y[a]) * (m.x[c] - m.x[a])
     sign = (1.0 if m.ie[t] > 0.0 else -1.0) / (tol * area)
+    if m.count[MODEL] == 1 and smooth_inside(m, a, b, c):
+        sign *= relief_inside(m, a, b, c)
+        hx, hy = inner_gradient(m, a, b, c, x, y)
+    else:
+        hx, hy = gradient(F, x, y)
     for i in range(3):
         v, p, q = m.tv[t, i], m.tv[t, (i + 1) % 3], m.tv[t, (i + 2) % 3]
         weight = (m.x[p] - x) * (m.y[q] - y) - (m.y[p] - y) * (m.x[q] - x)
-        g[i, 0], g[i, 1] = _slope(F, m, v, p, sign * weight, x, y, exact)
+        g[i, 0], g[i, 1] = _slope(F, m, v, sign * weight, hx, hy)
 
 
 @compiled

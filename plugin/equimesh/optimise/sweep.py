@@ -12,7 +12,7 @@ from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.fields.patch_kernels import derivatives2
 from equimesh.optimise.angles import by_angle
 from equimesh.optimise.centres import split_for_angle
-from equimesh.optimise.energy import ROOM, penalty, set_bend, worst_of
+from equimesh.optimise.energy import ROOM, penalty, set_jet, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import FREE, MANNER, SETTLE, SLIDES, SPREAD, Mesh
 from equimesh.optimise.moves import try_flip
@@ -42,10 +42,9 @@ _AREA_SADDLE = math.sqrt(5.0) / 4.0
 
 @compiled
 def lift_all(F, m):
-    """Second derivatives at all vertices."""
+    """First and second derivatives at all vertices."""
     for v in range(m.count[1]):
-        _, _, _, hxx, hxy, hyy = derivatives2(F.frame, F.child, F.coef, m.x[v], m.y[v])
-        set_bend(m, v, hxx, hxy, hyy)
+        set_jet(F, m, v, m.x[v], m.y[v])
 
 
 @compiled

@@ -78,7 +78,9 @@ def note_vertex(m, v):
     m.log_vi[k, 3] = m.v2t[v]
     row = m.log_vf[k]
     row[0], row[1], row[2] = m.x[v], m.y[v], m.z[v]
-    row[3], row[4], row[5], row[6] = m.h[v, 0], m.h[v, 1], m.h[v, 2], m.w[v]
+    row[3] = m.w[v]
+    for i in range(5):
+        row[4 + i] = m.jet[v, i]
 
 
 @compiled
@@ -138,7 +140,9 @@ def rollback(m):
         m.kind[v], m.side[v], m.v2t[v] = m.log_vi[k, 1], m.log_vi[k, 2], m.log_vi[k, 3]
         row = m.log_vf[k]
         m.x[v], m.y[v], m.z[v] = row[0], row[1], row[2]
-        m.h[v, 0], m.h[v, 1], m.h[v, 2], m.w[v] = row[3], row[4], row[5], row[6]
+        m.w[v] = row[3]
+        for i in range(5):
+            m.jet[v, i] = row[4 + i]
     c[RECORDING] = 0
 
 
