@@ -47,12 +47,12 @@ __all__ = ["anneal", "exchange", "press", "relief"]
 # convex and the saddle lattice. Then an error of 1 has the least energy in a given area.
 _PRICE = {SOFT: 7.0, FIRM: 28.0, HARD: 58.0}
 _VISITS = 60  # of vertices around an exchange while crystals form
-_OFF = 1.5  # triangles too few or too many around a vertex that make an exchange worth a trial
+_OFF = 1.0  # triangles too few or too many around a vertex that make an exchange worth a trial
 # Energy above what would pay, in prices of a triangle, that exchanges which are kept still have after
 # a fifth of the visits, and by what it falls in the next fifths (a thousand trials, four functions).
 _HOPE, _FALL = 9.0, 1 / 3
 _STEPS = 8  # of all vertices between rounds of flips
-_ROUNDS = 4  # of exchanges
+_ROUNDS = 2  # of exchanges
 _LASTING = 2e-3  # flips for each triangle below which steps of all vertices no longer matter
 _PATIENCE = 20  # rounds of steps and flips, at most
 _LAST = 0.97  # the least error to anneal for in the end

@@ -45,9 +45,12 @@ from equimesh.optimise.topology import ample
 
 __all__ = ["relax_together"]
 
-_ENOUGH = 4e-3  # relative gain of a step below which the next is not worth its time
+_ENOUGH = 5e-3  # relative gain of a step below which the next is not worth its time
 _REACH = 0.4  # how far a vertex may go in one step, in sizes of its star
 _DEAR = 10.0  # powers of errors above this count by their logarithm: else one would hide the rest
+# Share of the diagonal that is added to it at first, and how that changes when a step fails or not:
+# of what a failed step costs two good ones can be made.
+_DAMPING, _HARDER, _EASIER = 0.04, 4.0, 0.7
 _TRIES = 3  # of a step, each with fewer vertices that take part
 
 
@@ -344,7 +347,7 @@ def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> i
     downhill, step, work = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((4, n, 2))
     spread = np.zeros((n, 4))
     before, after = np.zeros(len(number)), np.zeros(len(number))
-    energy, damping = _prices(mesh, before), 1e-2
+    energy, damping = _prices(mesh, before), _DAMPING
     for done in range(rounds):
         _assemble(field, mesh, tol, number, diagonal, beside, downhill, np.zeros((3, 2)))
         old = np.stack([mesh.x[:n], mesh.y[:n]], 1)
@@ -355,11 +358,11 @@ def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> i
             now = _tried(field, mesh, tol, old, step, energy, before, after)
             if now < energy:
                 break
-            damping *= 10.0
+            damping *= _HARDER
         if not now < energy:
             _moved(field, mesh, tol, old, np.zeros((n, 2)))
             return done
-        damping = max(0.2 * damping, 1e-6)
+        damping = max(_EASIER * damping, 1e-6)
         if energy - now < _ENOUGH * energy:
             return done + 1
         energy, before, after = now, after, before

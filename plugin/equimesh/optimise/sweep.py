@@ -14,7 +14,7 @@ from equimesh.optimise.angles import by_angle
 from equimesh.optimise.centres import split_for_angle
 from equimesh.optimise.energy import ROOM, penalty, set_jet, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
-from equimesh.optimise.mesh import FREE, MANNER, SETTLE, SLIDES, SPREAD, Mesh
+from equimesh.optimise.mesh import EPOCH, FREE, MANNER, SETTLE, SLIDES, SPREAD, Mesh
 from equimesh.optimise.moves import try_flip
 from equimesh.optimise.relax import Queue, clear, push, push_all, push_violated, relax
 from equimesh.optimise.removal import remove_if_clean, remove_vertex, touched_excess
@@ -64,17 +64,25 @@ def step_aside(F, m, tol):
 
 @compiled
 def flip_all(F, m, tol, passes):
-    """Sweep over all edges until none is worth flipping; returns the number of flips."""
+    """Sweep over all edges until none is worth flipping; returns the number of flips.
+
+    After the first pass only triangles that the last one changed can have a new reason to flip.
+    """
     total = 0
-    for _ in range(passes):
+    m.count[EPOCH] += 1
+    for number in range(passes):
+        seen = m.count[EPOCH]
+        m.count[EPOCH] += 1
         made = 0
         for t in range(m.count[0]):
-            if m.tv[t, 0] < 0:
+            if m.tv[t, 0] < 0 or (number > 0 and m.mark[t] < seen):
                 continue
             for k in range(3):
+                u = m.tn[t, k]
                 if penalty(m, m.ee[t, k]) + penalty(m, m.ie[t]) > 1e-3 and try_flip(
                     F, m, tol, t, k
                 ):
+                    m.mark[t] = m.mark[u] = m.count[EPOCH]
                     made += 1
         total += made
         if made == 0:
