@@ -187,9 +187,9 @@ def lower_bound(
 ) -> float:
     """N* of a function over a domain that ``triangles`` cover (local coordinates).
 
-    Some 100,000 quadrature points lie in the domain, and more along lines where det H changes sign.
+    Some 50,000 quadrature points lie in the domain, and more along lines where det H changes sign.
     """
-    return _integrated(field, points, triangles, tol, 0.0, 1e5)
+    return _integrated(field, points, triangles, tol, 0.0, 5e4)
 
 
 def lattice_size(

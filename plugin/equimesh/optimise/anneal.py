@@ -48,9 +48,10 @@ __all__ = ["anneal", "exchange", "press", "relief"]
 _PRICE = {SOFT: 7.0, FIRM: 28.0, HARD: 58.0}
 _VISITS = 60  # of vertices around an exchange while crystals form
 _OFF = 1.0  # triangles too few or too many around a vertex that make an exchange worth a trial
-# Energy above what would pay, in prices of a triangle, that exchanges which are kept still have after
-# a fifth of the visits, and by what it falls in the next fifths (a thousand trials, four functions).
-_HOPE, _FALL = 9.0, 1 / 3
+# Energy above what would pay, in prices of a triangle, that removals and insertions which are kept
+# still have after a fifth of the visits, and by what it falls in the next fifths (a thousand trials
+# on four functions).
+_HOPE_OUT, _HOPE_IN, _FALL = 9.0, 1.0, 1 / 3
 _STEPS = 8  # of all vertices between rounds of flips
 _ROUNDS = 2  # of exchanges
 _LASTING = 2e-3  # flips for each triangle below which steps of all vertices no longer matter
@@ -110,7 +111,7 @@ def _pays(F, m, tol, q, visits, price, triangles):
 
     What is far from it after some of the visits never gets there: then the rest are not made.
     """
-    done, hope = 0, _HOPE * price
+    done, hope = 0, (_HOPE_OUT if triangles < 0 else _HOPE_IN) * price
     while done < visits:
         made = relax(F, m, tol, q, visits // 5, 12)
         if made == 0:
