@@ -16,6 +16,7 @@ from equimesh.errors import InputError
 from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.frame import Frame
+from equimesh.locality import curve_order
 from equimesh.metric import lattice_size
 from equimesh.optimise.anneal import relief
 from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, SLIDES, Mesh, build
@@ -108,8 +109,9 @@ def first_mesh(
             turn=turn, obstacles=chains.segments(local),
         )  # fmt: skip
     points, edges, walls = _outline(ring, local, chains)
-    every = np.vstack([points, inner])
+    every = np.vstack([points, inner[curve_order(inner)]])
     triangles = constrained_delaunay(every, edges, walls)
+    triangles = triangles[curve_order(every[triangles].mean(1))]
     b, n = len(ring.points), len(local.lines.nodes)
     corner_of = np.full(len(every), -1, np.int64)
     corner_of[:b] = ring.corner

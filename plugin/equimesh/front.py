@@ -26,6 +26,7 @@ __all__ = ["grow", "inside", "nearest"]
 
 _HALF_SQRT5 = 0.5 * math.sqrt(5.0)
 _EDGE_CONVEX = 0.5 * math.sqrt(3.0)  # circumradius 1/2: error 1
+_THERE = 0.3  # spacings: a vertex so near the end of a straight step is that of the curved one too
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -270,6 +271,8 @@ def grow(
                 x, y = px[here], py[here]
                 w[:] = frames[here]
                 dx, dy = w[0] * l1 + w[1] * l2, w[2] * l1 + w[3] * l2
+                if nearest(tree, link, box, px, py, x + dx, y + dy, w, _THERE, boundary)[1] >= 0:
+                    continue  # five of six steps lead back to a vertex that is there
                 exact = _geodesic(f, child, coef, x, y, w, l1, l2, 1, step)
                 if exact:
                     # A step that strays from the straight one has left the reach of the series.

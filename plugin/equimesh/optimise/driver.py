@@ -73,11 +73,11 @@ class Effort:
     """How long to look for vertices that can go.
 
     ``lattices``: at most so many first meshes are tried where lattices fit, ``drafts`` where they
-    must be annealed, as many as ``triangles`` allow. Hermite's errors guide them, with ``rounds`` of
-    removal and at most ``visits`` moves of vertices around every trial; ``last_rounds`` and
+    must be annealed, as many as ``triangles`` allow. Hermite's errors guide them, with ``rounds``
+    of removal and at most ``visits`` moves of vertices around every trial; ``last_rounds`` and
     ``last_visits`` the same for the best of them on the true errors, which are pressed in
-    ``presses`` rounds. In between the ``kept`` best
-    drafts go through ``cycles`` of exchange and repair, as many as ``cycled`` triangles allow.
+    ``presses`` rounds. In between the ``kept`` best drafts go through ``cycles`` of exchange and
+    repair, as many as ``cycled`` triangles allow.
     """
 
     lattices: int
