@@ -1,4 +1,4 @@
-"""An order in which what is near in the plane is near in memory: a large mesh is worked on faster."""
+"""What is near in the plane shall be near in memory: large meshes are worked on faster."""
 
 from __future__ import annotations
 

@@ -11,6 +11,7 @@ power rises on the way, since in the end only the largest error counts.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from equimesh.fields.compiled import compiled, inlined
 from equimesh.fields.kernel import KernelField
@@ -41,12 +42,12 @@ from equimesh.optimise.sweep import (
 )
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 
-__all__ = ["anneal", "exchange", "press", "relief"]
+__all__ = ["VISITS", "anneal", "exchange", "exchange_all", "press", "relief", "shares"]
 
 # For each power p: (p - 1) times the energy of a lattice triangle of error 1, in the mean of the
 # convex and the saddle lattice. Then an error of 1 has the least energy in a given area.
 _PRICE = {SOFT: 7.0, FIRM: 28.0, HARD: 58.0}
-_VISITS = 60  # of vertices around an exchange while crystals form
+VISITS = 60  # of vertices around an exchange while crystals form
 _OFF = 1.0  # triangles too few or too many around a vertex that make an exchange worth a trial
 # Energy above what would pay, in prices of a triangle, that removals and insertions which are kept
 # still have after a fifth of the visits, and by what it falls in the next fifths (a thousand trials
@@ -168,13 +169,13 @@ def anneal(field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queu
     As the power rises the errors come closer together, and their mean may come closer to ``tol``.
     """
     mesh.count[MANNER] = SOFT
-    mesh.hinge[1] = 1.0 / relief(error, bool(mesh.count[HEIGHTS]))
+    mesh.share[:] = shares(mesh, error)
     evaluate_all(field, mesh, error * tol)
     flip_all(field, mesh, error * tol, 50)
     relax_everything(field, mesh, error * tol, queue, 10)
     mesh.count[MANNER] = SETTLE
     for manner, aim in ((SOFT, error), (FIRM, max(error, _LAST))):
-        exchange(field, mesh, tol, aim, queue, _VISITS, manner)
+        exchange(field, mesh, tol, aim, queue, VISITS, manner)
 
 
 def exchange(
@@ -190,17 +191,23 @@ def exchange(
 
     ``visits``: how many moves of vertices around an exchange may make it pay.
     """
+    mesh.share[:] = shares(mesh, error)
+    exchange_all(field, mesh, error * tol, queue, visits, manner)
+    mesh.share[:] = 1.0
+
+
+def exchange_all(
+    field: KernelField, mesh: Mesh, aim: float, queue: Queue, visits: int, manner: int
+) -> None:
+    """The same with the shares that the mesh has, for an error in units of z."""
     mesh.count[MANNER] = manner
-    aim = error * tol
-    share = relief(error, bool(mesh.count[HEIGHTS]))
-    mesh.hinge[1] = 1.0 / share
     evaluate_all(field, mesh, aim)
     _give_way(field, mesh, aim)
     stamp = np.zeros(len(mesh.x), np.int64)
     for number in range(1, _ROUNDS + 1):
         candidates = movable(mesh)
         candidates = candidates[stamp[candidates] == number - 1]
-        waste = vertex_waste(field.relieved(share), mesh, aim, candidates)
+        waste = vertex_waste(field, mesh, aim, candidates)
         off = np.flatnonzero(np.abs(waste) > _OFF)
         order = off[np.argsort(-np.abs(waste[off]), kind="stable")]
         kept = _exchange(
@@ -211,7 +218,6 @@ def exchange(
             break
     _give_way(field, mesh, aim)
     mesh.count[MANNER] = SETTLE
-    mesh.hinge[1] = 1.0
 
 
 def relief(error: float, two_sided: bool) -> float:
@@ -220,6 +226,13 @@ def relief(error: float, two_sided: bool) -> float:
     ``two_sided``: vertices may leave the surface; then they are all alike.
     """
     return 1.0 if two_sided else max(1.0, _CRYSTAL / error)
+
+
+def shares(mesh: Mesh, error: float) -> NDArray[np.float64]:
+    """(v,) by what errors near a vertex are multiplied in an exchange for ``error``: by less than 1
+    where the surface is convex or concave there, as far as ``relief`` goes."""
+    _, _, xx, xy, yy = mesh.jet.T
+    return np.where(xx * yy > xy * xy, 1.0 / relief(error, bool(mesh.count[HEIGHTS])), 1.0)
 
 
 def press(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> None:

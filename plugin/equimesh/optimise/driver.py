@@ -27,6 +27,7 @@ from equimesh.optimise.mesh import (
     enlarged,
     movable,
 )
+from equimesh.optimise.regions import even_out
 from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.search import search_all
 from equimesh.optimise.sweep import (
@@ -73,15 +74,17 @@ class Effort:
     """How long to look for vertices that can go.
 
     ``lattices``: at most so many first meshes are tried where lattices fit, ``drafts`` where they
-    must be annealed, as many as ``triangles`` allow. Hermite's errors guide them, with ``rounds``
-    of removal and at most ``visits`` moves of vertices around every trial; ``last_rounds`` and
-    ``last_visits`` the same for the best of them on the true errors, which are pressed in
-    ``presses`` rounds. In between the ``kept`` best drafts go through ``cycles`` of exchange and
-    repair, as many as ``cycled`` triangles allow.
+    must be annealed, as many as ``triangles`` allow; in up to ``evenings`` rounds regions get their
+    own numbers of vertices. Hermite's errors guide them, with ``rounds`` of removal and at most
+    ``visits`` moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the same
+    for the best of them on the true errors, which are pressed in ``presses`` rounds. In between the
+    ``kept`` best drafts go through ``cycles`` of exchange and repair, as many as ``cycled``
+    triangles allow.
     """
 
     lattices: int
     drafts: int
+    evenings: int
     triangles: int
     rounds: int
     visits: int
@@ -94,9 +97,9 @@ class Effort:
 
 
 EFFORTS = {
-    "fast": Effort(1, 1, 0, 2, 60, 0, 0, 0, 1, 0, 0),
-    "balanced": Effort(2, 2, 3_000, 0, 60, 0, 0, 2, 1, 1, 1_500),
-    "best": Effort(200, 24, 60_000, 20, 300, 20, 600, 4, 8, 40, 300_000),
+    "fast": Effort(1, 1, 0, 0, 2, 60, 0, 0, 0, 1, 0, 0),
+    "balanced": Effort(2, 2, 8, 3_000, 0, 60, 0, 0, 2, 1, 1, 1_500),
+    "best": Effort(200, 24, 8, 60_000, 20, 300, 20, 600, 4, 8, 40, 300_000),
 }
 
 
@@ -127,7 +130,9 @@ def draft(field: KernelField, mesh: Mesh, tol: float, effort: str, annealed: flo
     """
     with modelled(field, mesh):
         if annealed is not None:
-            anneal(field, mesh, tol, annealed, make_queue(len(mesh.x)))
+            queue = make_queue(len(mesh.x))
+            anneal(field, mesh, tol, annealed, queue)
+            even_out(field, mesh, tol, annealed, queue, EFFORTS[effort].evenings)
         evaluate_all(field, mesh, tol)
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)

@@ -33,7 +33,7 @@ from equimesh.optimise.mesh import (
     VERTICES,
     Mesh,
 )
-from equimesh.optimise.model import bowl, model_edge, model_inner, smooth_edge, smooth_inside
+from equimesh.optimise.model import model_edge, model_inner, smooth_edge, smooth_inside
 from equimesh.optimise.topology import note_triangle
 
 __all__ = [
@@ -41,11 +41,11 @@ __all__ = [
     "evaluate_all",
     "lift",
     "penalty",
-    "relief_along",
-    "relief_inside",
     "set_edge",
     "set_inner",
     "set_jet",
+    "share_along",
+    "share_inside",
 ]
 
 ROOM = 0.98  # how far vertices may leave the surface, in units of the tolerance, where they may
@@ -101,15 +101,15 @@ def lift(F, m, v, x, y):
 
 
 @inlined
-def relief_along(m, a, b):
-    """By what the model's error of an edge is multiplied."""
-    return 1.0 - 0.5 * (1.0 - m.hinge[1]) * (bowl(m, a) + bowl(m, b))
+def share_along(m, a, b):
+    """By what the error of an edge is multiplied."""
+    return 0.5 * (m.share[a] + m.share[b])
 
 
 @inlined
-def relief_inside(m, a, b, c):
-    """By what the model's error inside a triangle is multiplied."""
-    return 1.0 - (1.0 - m.hinge[1]) / 3.0 * (bowl(m, a) + bowl(m, b) + bowl(m, c))
+def share_inside(m, a, b, c):
+    """By what the error inside a triangle is multiplied."""
+    return (m.share[a] + m.share[b] + m.share[c]) / 3.0
 
 
 @compiled
@@ -117,9 +117,9 @@ def edge_of(F, m, tol, a, b):
     """(signed error / tol, position) of the segment from vertex a to vertex b."""
     if m.count[MODEL] == 1 and smooth_edge(m, a, b):
         e, s = model_edge(m, a, b)
-        return e * relief_along(m, a, b) / tol, s
-    e, s = edge_error(F, m.x[a], m.y[a], m.z[a], m.x[b], m.y[b], m.z[b], 1e3 * tol)
-    return e / tol, s
+    else:
+        e, s = edge_error(F, m.x[a], m.y[a], m.z[a], m.x[b], m.y[b], m.z[b], 1e3 * tol)
+    return e * share_along(m, a, b) / tol, s
 
 
 @compiled
@@ -127,21 +127,11 @@ def _inner_error(F, m, tol, a, b, c):
     """(signed error / tol, x, y) inside the triangle a, b, c."""
     if m.count[MODEL] == 1 and smooth_inside(m, a, b, c):
         e, x, y = model_inner(m, a, b, c)
-        return e * relief_inside(m, a, b, c) / tol, x, y
-    e, x, y = inner_error(
-        F,
-        m.x[a],
-        m.y[a],
-        m.z[a],
-        m.x[b],
-        m.y[b],
-        m.z[b],
-        m.x[c],
-        m.y[c],
-        m.z[c],
-        1e3 * tol,
-    )
-    return e / tol, x, y
+    else:
+        e, x, y = inner_error(
+            F, m.x[a], m.y[a], m.z[a], m.x[b], m.y[b], m.z[b], m.x[c], m.y[c], m.z[c], 1e3 * tol
+        )
+    return e * share_inside(m, a, b, c) / tol, x, y
 
 
 @compiled

@@ -42,6 +42,7 @@ def split_inside(F, m, tol, t, x, y):
         return -1
     v = new_vertex(m, x, y, z, FREE, 0)
     m.w[v] = (m.w[a] + m.w[b] + m.w[c]) / 3.0
+    m.share[v] = (m.share[a] + m.share[b] + m.share[c]) / 3.0
     lift(F, m, v, x, y)
     note_triangle(m, t)
     t1, t2 = new_triangle(m), new_triangle(m)
@@ -108,6 +109,7 @@ def split_edge(F, m, tol, t, k, s):
             kind, side = FIXED, 0
     v = new_vertex(m, x, y, z, kind, side)
     m.w[v] = m.w[a] + s * (m.w[b] - m.w[a]) if on else 0.0
+    m.share[v] = m.share[a] + s * (m.share[b] - m.share[a])
     if on:
         lift(F, m, v, x, y)
     note_triangle(m, t)

@@ -13,7 +13,18 @@ from numpy.typing import NDArray
 
 from equimesh.fields.reference import by_reference
 
-__all__ = ["FIXED", "FREE", "SLIDES", "Mesh", "build", "compact", "copied", "enlarged", "movable"]
+__all__ = [
+    "FIXED",
+    "FREE",
+    "SLIDES",
+    "Mesh",
+    "build",
+    "compact",
+    "copied",
+    "enlarged",
+    "movable",
+    "restore",
+]
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
 # How errors are priced (``energy.penalty``).
@@ -46,6 +57,7 @@ class Mesh(NamedTuple):
     z: NDArray[np.float64]
     w: NDArray[np.float64]  # (v,) height above the surface; may differ from 0 where count[HEIGHTS]
     jet: NDArray[np.float64]  # (v, 5) f_x, f_y, f_xx, f_xy, f_yy, where count[MODEL] is on
+    share: NDArray[np.float64]  # (v,) by what errors nearby are multiplied; 1 but in an exchange
     kind: NDArray[np.int8]  # FREE, SLIDES along its side, FIXED, GONE
     side: NDArray[np.int64]  # row of ``sides`` on which a sliding vertex lies
     v2t: NDArray[np.int64]  # one triangle of each vertex
@@ -70,9 +82,7 @@ class Mesh(NamedTuple):
     lost_v: NDArray[np.int64]
     ring: NDArray[np.int64]  # (4, 512) scratch: vertices, triangles and indices of a star; a copy
     work: NDArray[np.float64]  # (9, 1024) scratch: a star's tentative errors, spokes and insides
-    # Errors below the first cost nothing (``energy.penalty``); the second is by what errors are
-    # multiplied where the surface is convex or concave, while count[MODEL] is on.
-    hinge: NDArray[np.float64]  # (2,)
+    hinge: NDArray[np.float64]  # (1,) errors below it cost nothing (``energy.penalty``)
     hole_i: NDArray[np.int64]  # (3, 64, 24) scratch of vertex removal
     hole_f: NDArray[np.float64]  # (4, 24, 24)
 
@@ -125,7 +135,7 @@ def build(
     return Mesh(
         padded(points[:, 0], nv), padded(points[:, 1], nv), padded(points[:, 2], nv),
         np.zeros(nv),
-        np.zeros((nv, 5)),
+        np.zeros((nv, 5)), np.ones(nv),
         kinds, side_of, v2t, tv, tn, wall,
         np.zeros((nt, 3)), np.zeros((nt, 3)), np.zeros(nt), np.zeros(nt), np.zeros(nt),
         np.zeros(nt, np.int64), np.ascontiguousarray(sides, float),
@@ -133,7 +143,7 @@ def build(
         np.zeros((log, 10), np.int64), np.zeros((log, 9)),
         np.zeros((log, 4), np.int64), np.zeros((log, 9)),
         np.zeros(log, np.int64), np.zeros(log, np.int64),
-        np.zeros((4, 512), np.int64), np.zeros((9, 1024)), np.array([0.985, 1.0]),
+        np.zeros((4, 512), np.int64), np.zeros((9, 1024)), np.array([0.985]),
         np.zeros((3, 64, 24), np.int64), np.zeros((4, 24, 24)),
     )  # fmt: skip
 
@@ -160,6 +170,12 @@ def copied(mesh: Mesh) -> Mesh:
     return mesh._replace(**{name: np.array(part) for name, part in mesh._asdict().items()})
 
 
+def restore(mesh: Mesh, kept: Mesh) -> None:
+    """Make the mesh in place what a copy of it has kept."""
+    for part, before in zip(mesh, kept, strict=True):
+        part[...] = before
+
+
 def enlarged(mesh: Mesh) -> Mesh:
     """The same mesh with twice the slots."""
     grown = {}
@@ -170,7 +186,7 @@ def enlarged(mesh: Mesh) -> Mesh:
             new[:] = -1
         new[: len(old)] = old
         grown[name] = new
-    for name in ("x", "y", "z", "w", "jet", "kind", "side", "v2t", "spare_v"):
+    for name in ("x", "y", "z", "w", "jet", "share", "kind", "side", "v2t", "spare_v"):
         old = getattr(mesh, name)
         new = np.full((2 * len(old), *old.shape[1:]), GONE if name == "kind" else 0, old.dtype)
         new[: len(old)] = old

@@ -13,7 +13,7 @@ import math
 from equimesh.fields.compiled import compiled, inlined
 
 __all__ = [
-    "bowl", "edge_gradient", "inner_gradient", "model_edge", "model_inner", "smooth_edge",
+    "edge_gradient", "inner_gradient", "model_edge", "model_inner", "smooth_edge",
     "smooth_inside",
 ]  # fmt: skip
 
@@ -60,12 +60,6 @@ def _alike(m, a, b):
     dxx, dxy, dyy = m.jet[a, 2] - m.jet[b, 2], m.jet[a, 3] - m.jet[b, 3], m.jet[a, 4] - m.jet[b, 4]
     size = xx * xx + 2.0 * xy * xy + yy * yy
     return dxx * dxx + 2.0 * dxy * dxy + dyy * dyy < _ALIKE * size
-
-
-@inlined
-def bowl(m, v):
-    """Whether the surface is convex or concave at v."""
-    return _determinant(m, v) > 0.0
 
 
 @inlined

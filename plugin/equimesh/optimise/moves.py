@@ -14,7 +14,15 @@ from equimesh.fields.compiled import compiled
 from equimesh.fields.dispatch import gradient
 from equimesh.fields.kernel import PATCHES
 from equimesh.optimise.angles import angle_slope, by_angle
-from equimesh.optimise.energy import ROOM, edge_of, inner_of, lift, penalty
+from equimesh.optimise.energy import (
+    ROOM,
+    edge_of,
+    inner_of,
+    lift,
+    penalty,
+    share_along,
+    share_inside,
+)
 from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, MODEL, SLIDES
 from equimesh.optimise.model import edge_gradient, inner_gradient
 from equimesh.optimise.topology import ample, flip, note_triangle, note_vertex, star
@@ -138,7 +146,7 @@ def _residuals(F, m, tol, v, n, closed):
         else:
             hx, hy = gradient(F, vx + s * (m.x[r] - vx), vy + s * (m.y[r] - vy))
         if math.isfinite(hx) and math.isfinite(hy):
-            w = (1.0 - s) * (1.0 if e > 0.0 else -1.0)
+            w = (1.0 - s) * (1.0 if e > 0.0 else -1.0) * share_along(m, v, r)
             m.work[5, count] = abs(e) - m.hinge[0]
             m.work[6, count], m.work[7, count] = w * (hx - gx) / tol, w * (hy - gy) / tol
             m.work[8, count] = -w
@@ -160,7 +168,7 @@ def _residuals(F, m, tol, v, n, closed):
         w = ((m.x[p] - x) * (m.y[q] - y) - (m.y[p] - y) * (m.x[q] - x)) / area
         hx, hy = inner_gradient(m, v, p, q, x, y) if model else gradient(F, x, y)
         if math.isfinite(hx) and math.isfinite(hy):
-            w *= 1.0 if e > 0.0 else -1.0
+            w *= (1.0 if e > 0.0 else -1.0) * share_inside(m, v, p, q)
             m.work[5, count] = abs(e) - m.hinge[0]
             m.work[6, count], m.work[7, count] = w * (hx - gx) / tol, w * (hy - gy) / tol
             m.work[8, count] = -w

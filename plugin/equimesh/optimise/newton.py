@@ -25,8 +25,8 @@ from equimesh.optimise.energy import (
     evaluate_all,
     lift,
     penalty,
-    relief_along,
-    relief_inside,
+    share_along,
+    share_inside,
 )
 from equimesh.optimise.mesh import (
     FIRM,
@@ -108,9 +108,8 @@ def _edge_slopes(F, m, tol, t, k, g):
     """Slopes of the error of edge k of t into rows of ``g``, 0 for the third corner."""
     i, j = k, (k + 1) % 3
     a, b, s = m.tv[t, i], m.tv[t, j], m.ep[t, k]
-    sign = (1.0 if m.ee[t, k] > 0.0 else -1.0) / tol
+    sign = (1.0 if m.ee[t, k] > 0.0 else -1.0) * share_along(m, a, b) / tol
     if m.count[MODEL] == 1 and smooth_edge(m, a, b):
-        sign *= relief_along(m, a, b)
         hx, hy = edge_gradient(m, a, b, s)
     else:
         hx, hy = gradient(F, m.x[a] + s * (m.x[b] - m.x[a]), m.y[a] + s * (m.y[b] - m.y[a]))
@@ -130,9 +129,8 @@ def _inner_slopes(F, m, tol, t, g):
     a, b, c = m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]
     x, y = m.ix[t], m.iy[t]
     area = (m.x[b] - m.x[a]) * (m.y[c] - m.y[a]) - (m.y[b] - m.y[a]) * (m.x[c] - m.x[a])
-    sign = (1.0 if m.ie[t] > 0.0 else -1.0) / (tol * area)
+    sign = (1.0 if m.ie[t] > 0.0 else -1.0) * share_inside(m, a, b, c) / (tol * area)
     if m.count[MODEL] == 1 and smooth_inside(m, a, b, c):
-        sign *= relief_inside(m, a, b, c)
         hx, hy = inner_gradient(m, a, b, c, x, y)
     else:
         hx, hy = gradient(F, x, y)

@@ -227,6 +227,7 @@ def triangle_waste(F, m, tol, t):
         F.frame, F.child, F.coef,
         third * (m.x[a] + m.x[b] + m.x[c]), third * (m.y[a] + m.y[b] + m.y[c]),
     )  # fmt: skip
+    area *= third * (m.share[a] + m.share[b] + m.share[c])
     det = (hxx * hyy - hxy * hxy) / (64.0 * tol * tol)
     if det > 0.0:
         return 1.0 - math.sqrt(det) * area / (_AREA_CONVEX * F.frame[3])
