@@ -305,7 +305,7 @@ def test_map_coordinates_and_units_do_not_matter(text, tol, scale, origin):
     assert_certified(result, f)
 
 
-@pytest.mark.parametrize("text, tol", [(HARMONIC, 0.1379), (CONVEX, 1e-2), (FRANKE, 5e-3)])
+@pytest.mark.parametrize("text, tol", [(HARMONIC, 0.1379), (CONVEX, 1e-2), (FRANKE, 2e-3)])
 @pytest.mark.parametrize("degrees", [17, 45, 90, 123])
 def test_a_rotated_copy_has_the_same_statistics(text, tol, degrees):
     angle = math.radians(degrees)
@@ -314,9 +314,7 @@ def test_a_rotated_copy_has_the_same_statistics(text, tol, degrees):
     f = moved(text, matrix, (0, 0))
     result = equimesh.remesh(f, tol, square)
     plain = on_the_unit_square(text, tol)
-    # Some 400 triangles on a curved metric scatter by a few per cent, whatever is done to them.
-    scatter = 0.08 if text == FRANKE else 0.03
-    assert len(result.triangles) == pytest.approx(len(plain.triangles), rel=scatter)
+    assert len(result.triangles) == pytest.approx(len(plain.triangles), rel=0.03)
     assert result.profile.quantile(0.5) == pytest.approx(plain.profile.quantile(0.5), rel=0.03)
     assert result.lower_bound == pytest.approx(plain.lower_bound, rel=1e-3)
     assert_cover(result, square)

@@ -172,8 +172,8 @@ def copied(mesh: Mesh) -> Mesh:
 
 def restore(mesh: Mesh, kept: Mesh) -> None:
     """Make the mesh in place what a copy of it has kept."""
-    for part, before in zip(mesh, kept, strict=True):
-        part[...] = before
+    for name, part in mesh._asdict().items():
+        np.copyto(part, getattr(kept, name))
 
 
 def enlarged(mesh: Mesh) -> Mesh:
