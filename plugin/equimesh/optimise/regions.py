@@ -25,14 +25,13 @@ __all__ = ["even_out"]
 _GOAL = 0.985  # the largest errors to be, in units of the tolerance,
 _POWER = 48  # by a mean of this power
 _RINGS = 3  # over so many rings of triangles
-_SPEED = 1.5  # the power of what a region misses by with which its share changes
 _LEAST, _MOST = 0.88, 1.08  # shares: some errors do not give way to any number of vertices
 _CEILING = 1.3  # larger errors are no question of density
 _PRESSES = 2  # rounds of pressing before errors are looked at
 # Triangles that it takes to mend one whose error is so much above 1, and less for less: a fit to
 # what 45 meshes took.
 _MENDING, _MUCH = 0.25, 0.02
-_GAIN = 1e-3  # of the triangles: what a round must save, or one
+_GAIN = 5e-4  # of the triangles: what a round must save, or one
 _IDLE = 2  # rounds that save less after which there is no more
 
 
@@ -56,7 +55,7 @@ def even_out(
             best, least = copied(mesh), expected
         if number == rounds or idle == _IDLE:
             break
-        share = np.clip(share * (_largest_around(mesh) / _GOAL) ** _SPEED, _LEAST, _MOST)
+        share = np.clip(share * _largest_around(mesh) / _GOAL, _LEAST, _MOST)
         mesh.share[:] = share
         exchange_all(field, mesh, error * tol, queue, VISITS, SOFT)
         share = mesh.share.copy()
