@@ -44,8 +44,13 @@ def best_drafts(
     tol: float,
     effort: str,
     two_sided: bool,
+    report: Report,
 ) -> list[FirstMesh]:
-    """First meshes with their drafts in place, the best first; on data the bare outline."""
+    """First meshes with their drafts in place, the best first; on data the bare outline.
+
+    ``report`` hears how far they are, in the caller's own thread, which may be the only one to show
+    progress.
+    """
     lattice = first_mesh(surface, kernel, sides, frame, tol, two_sided=two_sided)
     size = int(lattice.mesh.count[0])
     if kernel.kind != PATCHES or lattice.settled:
@@ -57,17 +62,22 @@ def best_drafts(
         number, cost = how.lattices, cost / _FITTING
     number = max(1, min(number, int(how.triangles // cost)))
 
-    def drafted(turn: int) -> FirstMesh:
+    def drafted(turn: int, report: Report = lambda _: None) -> FirstMesh:
         error = None if settled else _ERRORS[turn % len(_ERRORS)]
         start = lattice
         if turn > 0 or not settled:
             start = first_mesh(surface, kernel, sides, frame, tol, error, two_sided, turn)
-        return dataclasses.replace(start, mesh=draft(kernel, start.mesh, start.aim, effort, error))
+        mesh = draft(kernel, start.mesh, start.aim, effort, error, report)
+        return dataclasses.replace(start, mesh=mesh)
 
     best: list[FirstMesh] = []
     with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:
-        for start in pool.map(drafted, range(number)):
-            best = sorted([*best, start], key=_size)[: how.kept]
+        if number == 1:
+            best.append(drafted(0, report))
+        else:
+            for done, start in enumerate(pool.map(drafted, range(number)), 1):
+                best = sorted([*best, start], key=_size)[: how.kept]
+                report(done / number)
         meshes = pool.map(lambda start: cycled(kernel, start.mesh, start.aim, effort), best)
         best = [
             dataclasses.replace(start, mesh=mesh) for start, mesh in zip(best, meshes, strict=True)
@@ -92,7 +102,7 @@ def finished(
         told = report if number == 0 else lambda _: None
         return optimise(kernel, start.mesh, start.aim, effort, told, most)
 
-    if len(starts) == 1:  # in the caller's own thread, which may be the only one to show progress
+    if len(starts) == 1:  # in the caller's own thread
         return starts[0], *optimised(0)
     with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, len(starts))) as pool:
         ends = list(pool.map(optimised, range(len(starts))))

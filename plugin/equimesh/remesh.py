@@ -159,12 +159,14 @@ def remesh(
         if fit == "best":
             kernel = kernel.two_sided()
         frame = surface.frame(covered)
-    with stages.stage("seed"):
+    with stages.stage("seed") as report:
         sides = with_constraints(sides_of(covered), constraints, covered, frame)
         floor = None if angle is None else AngleFloor.of(angle, sides)
         if floor is not None:
             kernel = floor.kept_by(kernel, frame)
-        starts = best_drafts(meshed, kernel, sides, frame, height / unit, effort, fit == "best")
+        starts = best_drafts(
+            meshed, kernel, sides, frame, height / unit, effort, fit == "best", report
+        )
     with stages.stage("optimise") as report:
         start, mesh, good = finished(kernel, starts, effort, report, _EXACT * height / unit)
     with stages.stage("certify"):

@@ -123,7 +123,14 @@ def seam_share(field: KernelField, mesh: Mesh, tol: float) -> float:
     return float((worst > 1.0).mean()) if len(worst) else 0.0
 
 
-def draft(field: KernelField, mesh: Mesh, tol: float, effort: str, annealed: float | None) -> Mesh:
+def draft(
+    field: KernelField,
+    mesh: Mesh,
+    tol: float,
+    effort: str,
+    annealed: float | None,
+    report: Report,
+) -> Mesh:
     """A mesh with few triangles whose errors by Hermite's formula keep the tolerance.
 
     ``annealed``: error to anneal the mesh for at first; None leaves the lattice as it is laid.
@@ -132,7 +139,10 @@ def draft(field: KernelField, mesh: Mesh, tol: float, effort: str, annealed: flo
         if annealed is not None:
             queue = make_queue(len(mesh.x))
             anneal(field, mesh, tol, annealed, queue)
-            even_out(field, mesh, tol, annealed, queue, EFFORTS[effort].evenings)
+            report(0.3)
+            rounds = EFFORTS[effort].evenings
+            even_out(field, mesh, tol, annealed, queue, rounds, lambda f: report(0.3 + 0.5 * f))
+            report(0.8)
         evaluate_all(field, mesh, tol)
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)

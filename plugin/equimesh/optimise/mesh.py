@@ -171,7 +171,7 @@ def copied(mesh: Mesh) -> Mesh:
 
 
 def restore(mesh: Mesh, kept: Mesh) -> None:
-    """Make the mesh in place what a copy of it has kept."""
+    """Make the mesh in place what another with as many slots is."""
     for name, part in mesh._asdict().items():
         np.copyto(part, getattr(kept, name))
 

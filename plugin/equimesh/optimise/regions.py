@@ -10,6 +10,7 @@ lowest power, which climbs over what stands between, and the highest tells where
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +32,18 @@ _PRESSES = 2  # rounds of pressing before errors are looked at
 # Triangles that it takes to mend one whose error is so much above 1, and less for less: a fit to
 # what 45 meshes took.
 _MENDING, _MUCH = 0.25, 0.02
-_GAIN = 5e-4  # of the triangles: what a round must save, or one
-_IDLE = 2  # rounds that save less after which there is no more
+_GAIN = 5e-4  # of the triangles: rounds that save less are idle,
+_IDLE = 2  # and after so many in a row there is no more
 
 
 def even_out(
-    field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queue, rounds: int
+    field: KernelField,
+    mesh: Mesh,
+    tol: float,
+    error: float,
+    queue: Queue,
+    rounds: int,
+    report: Callable[[float], None],
 ) -> None:
     """Up to ``rounds`` rounds of exchanges of an annealed mesh, each followed by a press; leaves
     the best of the meshes in between.
@@ -52,7 +59,8 @@ def even_out(
         expected = _expected(mesh)
         idle = 0 if expected < (1.0 - _GAIN) * least else idle + 1
         if expected < least:
-            best, least = copied(mesh), expected
+            restore(best, mesh)
+            least = expected
         if number == rounds or idle == _IDLE:
             break
         share = np.clip(share * _largest_around(mesh) / _GOAL, _LEAST, _MOST)
@@ -60,6 +68,7 @@ def even_out(
         exchange_all(field, mesh, error * tol, queue, VISITS, SOFT)
         share = mesh.share.copy()
         mesh.share[:] = 1.0
+        report((number + 1) / rounds)
     restore(mesh, best)
 
 
