@@ -1,0 +1,86 @@
+"""Regions get their own numbers of vertices: what is measured, and what it is good for."""
+
+import numpy as np
+
+import equimesh
+from equimesh.optimise import driver, regions
+from equimesh.optimise.mesh import FREE, VERTICES, build, copied, restore
+from equimesh.triangulation import constrained_delaunay
+
+
+def grid(cells=20):
+    """A square of ``cells`` by ``cells`` with errors of 0.9 everywhere."""
+    t = np.linspace(0, 1, cells + 1)
+    plane = np.stack(np.meshgrid(t, t), -1).reshape(-1, 2)
+    n = cells + 1
+    ring = np.concatenate(
+        [np.arange(n - 1), n * np.arange(1, n) - 1, n * n - 1 - np.arange(n - 1),
+         n * (n - 1) - n * np.arange(n - 1)]
+    )  # fmt: skip
+    ring = ring[np.concatenate([[True], np.diff(ring) != 0])]
+    triangles = constrained_delaunay(plane, np.stack([ring, np.roll(ring, -1)], 1))
+    mesh = build(
+        np.column_stack([plane, np.zeros(len(plane))]), triangles,
+        np.full(len(plane), FREE, np.int8), np.zeros(len(plane), np.int64), np.zeros((1, 4)),
+    )  # fmt: skip
+    mesh.ee[:] = 0.9
+    return mesh
+
+
+def test_even_errors_are_their_own_mean():
+    mesh = grid()
+    around = regions._largest_around(mesh)[: int(mesh.count[VERTICES])]
+    np.testing.assert_allclose(around, 0.9)
+
+
+def test_one_large_error_is_seen_three_rings_away_and_no_farther():
+    mesh = grid()
+    at = np.argmin(np.hypot(mesh.x - 0.5, mesh.y - 0.5))
+    mesh.ie[mesh.v2t[at]] = 1.05
+    n = int(mesh.count[VERTICES])
+    around = regions._largest_around(mesh)[:n]
+    away = np.hypot(mesh.x[:n] - 0.5, mesh.y[:n] - 0.5) * 20
+    assert around[at] > 0.95
+    np.testing.assert_allclose(around[away > 8], 0.9)
+    assert (around >= 0.9 - 1e-12).all()
+
+
+def test_what_a_mesh_will_need_counts_violations_by_their_size():
+    mesh = grid()
+    assert regions._expected(mesh) == 800
+    mesh.ie[0] = 1.01
+    few = regions._expected(mesh)
+    mesh.ie[0] = 1.5
+    assert 800 < few < regions._expected(mesh) <= 801
+
+
+def test_a_copy_brings_a_mesh_back():
+    mesh = grid()
+    kept = copied(mesh)
+    mesh.x[:] += 1.0
+    mesh.tv[3] = -1
+    restore(mesh, kept)
+    for part, before in zip(mesh, kept, strict=True):
+        np.testing.assert_array_equal(part, before)
+
+
+def test_rounds_leave_a_mesh_that_promises_fewer_triangles(monkeypatch):
+    """With nothing multiplied any more, on a function that is convex here and a saddle there."""
+    promises = []
+
+    def watched(field, mesh, *arguments):
+        tol = arguments[0]
+        driver.evaluate_all(field, mesh, tol)
+        regions.press(field, mesh, tol, 2)
+        promises.append(regions._expected(mesh))
+        even_out(field, mesh, *arguments)
+        driver.evaluate_all(field, mesh, tol)
+        promises.append(regions._expected(mesh))
+        assert (mesh.share == 1.0).all()
+
+    even_out = driver.even_out
+    monkeypatch.setattr(driver, "even_out", watched)
+    result = equimesh.remesh("sin(6*x)*sin(5*y)", 5e-4, (0, 0, 1, 1))
+    assert result.status.ok
+    assert len(promises) == 2
+    assert promises[1] < promises[0]
