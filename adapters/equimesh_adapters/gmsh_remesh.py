@@ -148,7 +148,10 @@ def _plane(gmsh: Any, tag: int, tol: Any, follow: Source | int, options: dict[st
     source = view_surface(int(follow)) if isinstance(follow, (int, np.integer)) else follow
     ends = _ends(gmsh, curves)
     size = float(np.ptp(shapely.get_coordinates(domain), axis=0).max())
+    pinned = "constraints" not in options and not isinstance(source, equimesh.Metric)
     for _ in range(_ROUNDS):
+        if pinned:
+            options = {**options, "constraints": _pins(ends, domain, SAME * size)}
         result = equimesh.remesh(source, tol, domain, **options)
         laid = fitted(result.points, result.triangles, [c.pieces for c in curves], curves, ends)
         laid, moved = _on_curves(gmsh, laid, curves, height)
@@ -181,6 +184,13 @@ def _ends(gmsh: Any, curves: Sequence[Curve]) -> dict[int, Array]:
     ends = {end: gmsh.model.getValue(0, end, []) for curve in curves for end in curve.ends}
     loose = np.unique(np.concatenate([np.zeros((0, 3)), *(c.loose for c in curves)]), axis=0)
     return ends | {-1 - k: place for k, place in enumerate(loose)}
+
+
+def _pins(ends: dict[int, Array], domain: shapely.Geometry, same: float) -> list[shapely.Point]:
+    """The ends of curves as vertices that a mesh must have: those on straight borders are no
+    corners of its domain, and put in later they would change its errors."""
+    corners = shapely.MultiPoint(shapely.get_coordinates(domain))
+    return [shapely.snap(shapely.Point(place[:2]), corners, same) for place in ends.values()]
 
 
 def _on_curves(

@@ -111,7 +111,8 @@ def first_mesh(
     points, edges, walls = _outline(ring, local, chains)
     every = np.vstack([points, inner[curve_order(inner)]])
     triangles = constrained_delaunay(every, edges, walls)
-    triangles = triangles[curve_order(every[triangles].mean(1))]
+    if len(inner):
+        triangles = triangles[curve_order(every[triangles].mean(1))]
     b, n = len(ring.points), len(local.lines.nodes)
     corner_of = np.full(len(every), -1, np.int64)
     corner_of[:b] = ring.corner
