@@ -61,11 +61,14 @@ def best_drafts(
     if settled:
         number, cost = how.lattices, cost / _FITTING
     number = max(1, min(number, int(how.triangles // cost)))
+    fitting = [lattice] if settled else []
+    del lattice  # it may be large
 
     def drafted(turn: int, report: Report = lambda _: None) -> FirstMesh:
         error = None if settled else _ERRORS[turn % len(_ERRORS)]
-        start = lattice
-        if turn > 0 or not settled:
+        if turn == 0 and fitting:
+            start = fitting[0]
+        else:
             start = first_mesh(surface, kernel, sides, frame, tol, error, two_sided, turn)
         mesh = draft(kernel, start.mesh, start.aim, effort, error, report)
         return dataclasses.replace(start, mesh=mesh)
