@@ -26,6 +26,7 @@ from equimesh.optimise.mesh import (
     copied,
     enlarged,
     movable,
+    worst_errors,
 )
 from equimesh.optimise.regions import even_out
 from equimesh.optimise.relax import Queue, make_queue
@@ -119,7 +120,7 @@ def seam_share(field: KernelField, mesh: Mesh, tol: float) -> float:
         flip_all(field, mesh, tol, 50)
     n = int(mesh.count[0])
     inner = (mesh.kind[mesh.tv[:n]] == FREE).all(1) & (mesh.tv[:n, 0] >= 0)
-    worst = np.maximum(np.abs(mesh.ee[:n]).max(1), np.abs(mesh.ie[:n]))[inner]
+    worst = worst_errors(mesh)[:n][inner]
     return float((worst > 1.0).mean()) if len(worst) else 0.0
 
 
@@ -313,7 +314,7 @@ def _refine(field: KernelField, mesh: Mesh, tol: float) -> Mesh:
 def _violated(mesh: Mesh) -> NDArray[np.int64]:
     """Triangles with an error above the tolerance, the worst first."""
     m = int(mesh.count[0])
-    worst = np.maximum(np.abs(mesh.ee[:m]).max(1), np.abs(mesh.ie[:m]))
+    worst = worst_errors(mesh)[:m]
     worst[mesh.tv[:m, 0] < 0] = 0.0
     found = np.flatnonzero(worst > 1.0)
     return np.asarray(found[np.argsort(-worst[found], kind="stable")])

@@ -24,6 +24,7 @@ __all__ = [
     "enlarged",
     "movable",
     "restore",
+    "worst_errors",
 ]
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
@@ -163,6 +164,11 @@ def compact(
 def movable(mesh: Mesh) -> NDArray[np.int64]:
     """The vertices that may move and go."""
     return np.asarray(np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES)))
+
+
+def worst_errors(mesh: Mesh) -> NDArray[np.float64]:
+    """(t,) largest error of each triangle, in units of the tolerance; spare slots have any."""
+    return np.asarray(np.maximum(np.abs(mesh.ee).max(1), np.abs(mesh.ie)))
 
 
 def copied(mesh: Mesh) -> Mesh:

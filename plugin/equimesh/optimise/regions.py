@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from equimesh.fields.kernel import KernelField
 from equimesh.optimise.anneal import VISITS, exchange_all, press, shares
 from equimesh.optimise.energy import evaluate_all
-from equimesh.optimise.mesh import SOFT, Mesh, copied, restore
+from equimesh.optimise.mesh import SOFT, Mesh, copied, restore, worst_errors
 from equimesh.optimise.relax import Queue
 
 __all__ = ["even_out"]
@@ -74,21 +74,15 @@ def even_out(
 
 def _expected(mesh: Mesh) -> float:
     """About how many triangles the mesh will have when all keep the tolerance."""
-    worst = _worst(mesh, np.flatnonzero(mesh.tv[:, 0] >= 0))
+    worst = worst_errors(mesh)[mesh.tv[:, 0] >= 0]
     return float(len(worst) + _MENDING * np.clip((worst - 1.0) / _MUCH, 0.0, 1.0).sum())
-
-
-def _worst(mesh: Mesh, triangles: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Largest error of each of the triangles."""
-    edges, inside = np.abs(mesh.ee[triangles]).max(1), np.abs(mesh.ie[triangles])
-    return np.asarray(np.maximum(edges, inside))
 
 
 def _largest_around(mesh: Mesh) -> NDArray[np.float64]:
     """(v,) mean of a high power of the errors in the rings around each vertex."""
     live = np.flatnonzero(mesh.tv[:, 0] >= 0)
     corners = mesh.tv[live]
-    mean = np.minimum(_worst(mesh, live), _CEILING) ** _POWER
+    mean = np.minimum(worst_errors(mesh)[live], _CEILING) ** _POWER
     number = np.maximum(np.bincount(corners.ravel(), minlength=len(mesh.x)), 1)
     around = np.zeros(len(mesh.x))
     for _ in range(_RINGS + 1):

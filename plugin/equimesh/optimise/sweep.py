@@ -69,7 +69,6 @@ def flip_all(F, m, tol, passes):
     After the first pass only triangles that the last one changed can have a new reason to flip.
     """
     total = 0
-    m.count[EPOCH] += 1
     for number in range(passes):
         seen = m.count[EPOCH]
         m.count[EPOCH] += 1
