@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _N = 8
-_CHUNK = 4096
+_CHUNK = 512  # triangles whose samples, and what f makes of them, stay in a core's cache
 # Largest error of quadratic interpolation of a cubic on a triangle in units of its largest third
 # difference along and across the grid (0.2561, by linear programming over all cubics), and a
 # margin.
@@ -96,12 +96,9 @@ def _sample_all(f: Callable[[Array, Array], Array], corners: Array) -> tuple[Arr
 
     def work(first: int) -> None:
         part = slice(first, first + _CHUNK)
-        block = corners[part]
-        spread = block[:, 0, None, :] + np.einsum(
-            "kw,mwd->mkd", _WEIGHTS, block[:, 1:] - block[:, :1]
-        )
-        z = f(spread[:, :, 0].ravel(), spread[:, :, 1].ravel()).reshape(spread.shape[:2])
-        _model(z - spread[:, :, 2], _INDEX, _REMAINDER, errors[part], bounds[part])
+        x, y, linear = _samples(corners[part], _WEIGHTS)
+        z = f(x.ravel(), y.ravel()).reshape(x.shape)
+        _model(z - linear, _INDEX, _REMAINDER, errors[part], bounds[part])
 
     if len(corners) <= _CHUNK:
         for first in starts:
@@ -110,6 +107,21 @@ def _sample_all(f: Callable[[Array, Array], Array], corners: Array) -> tuple[Arr
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             list(pool.map(work, starts))
     return errors, bounds
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _samples(corners: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """x, y and the linear interpolant's height, each (m, k), at the weights (k, 2) of b and c."""
+    shape = (corners.shape[0], weights.shape[0])
+    x, y, z = np.empty(shape), np.empty(shape), np.empty(shape)
+    for t in range(shape[0]):
+        a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
+        for k in range(shape[1]):
+            u, v = weights[k]
+            x[t, k] = a[0] + u * (b[0] - a[0]) + v * (c[0] - a[0])
+            y[t, k] = a[1] + u * (b[1] - a[1]) + v * (c[1] - a[1])
+            z[t, k] = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
+    return x, y, z
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
