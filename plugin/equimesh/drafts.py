@@ -2,12 +2,13 @@
 
 A lattice that fits a flat metric is settled at once; on a curved one annealing pays, from a lattice
 somewhat denser. Which density ends with the fewest triangles is not known beforehand: small meshes
-try several.
+try several. Large ones are annealed where they are small and refined from there.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from concurrent.futures import ThreadPoolExecutor
 
 import numba
@@ -15,18 +16,21 @@ import numba
 from equimesh.domain import Sides
 from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
-from equimesh.first_mesh import FirstMesh, first_mesh
+from equimesh.first_mesh import FirstMesh, aim_for, expected_triangles, first_mesh
 from equimesh.frame import Frame
 from equimesh.optimise.driver import (
     EFFORTS,
     Report,
     cycled,
     draft,
+    finer_draft,
     optimise,
     seam_share,
     triangles_in,
 )
 from equimesh.optimise.mesh import Mesh
+from equimesh.optimise.nested import NESTED
+from equimesh.refinement import refined
 
 __all__ = ["best_drafts", "finished"]
 
@@ -51,41 +55,99 @@ def best_drafts(
     ``report`` hears how far they are, in the caller's own thread, which may be the only one to show
     progress.
     """
-    lattice = first_mesh(surface, kernel, sides, frame, tol, two_sided=two_sided)
-    size = int(lattice.mesh.count[0])
+    job = _Job(surface, kernel, sides, frame, effort, two_sided)
+    levels = job.levels(tol)
+    if levels:
+        coarse = tol * 4.0**levels * NESTED[effort].error
+        lattice = job.lattice(coarse)
+        if not job.settled(lattice):
+            return [job.nested(tol, coarse, levels, report)]
+    lattice = job.lattice(tol)
     if kernel.kind != PATCHES or lattice.settled:
         return [lattice]
-    settled = seam_share(kernel, lattice.mesh, lattice.aim) <= _SEAMS
-    how = EFFORTS[effort]
-    number, cost = how.drafts, float(size)
-    if settled:
-        number, cost = how.lattices, cost / _FITTING
-    number = max(1, min(number, int(how.triangles // cost)))
-    fitting = [lattice] if settled else []
-    del lattice  # it may be large
+    return job.drafts(lattice, tol, report)
 
-    def drafted(turn: int, report: Report = lambda _: None) -> FirstMesh:
-        error = None if settled else _ERRORS[turn % len(_ERRORS)]
-        if turn == 0 and fitting:
-            start = fitting[0]
-        else:
-            start = first_mesh(surface, kernel, sides, frame, tol, error, two_sided, turn)
-        mesh = draft(kernel, start.mesh, start.aim, effort, error, report)
-        return dataclasses.replace(start, mesh=mesh)
 
-    best: list[FirstMesh] = []
-    with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:
-        if number == 1:
-            best.append(drafted(0, report))
-        else:
-            for done, start in enumerate(pool.map(drafted, range(number)), 1):
-                best = sorted([*best, start], key=_size)[: how.kept]
-                report(done / number)
-        meshes = pool.map(lambda start: cycled(kernel, start.mesh, start.aim, effort), best)
-        best = [
-            dataclasses.replace(start, mesh=mesh) for start, mesh in zip(best, meshes, strict=True)
-        ]
-    return sorted(best, key=_size)
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Job:
+    """A smooth surface over a domain, to be meshed with some effort."""
+
+    surface: Field
+    kernel: KernelField
+    sides: Sides
+    frame: Frame
+    effort: str
+    two_sided: bool
+
+    def levels(self, tol: float) -> int:
+        """How often a smaller mesh had better be refined; 0 where the mesh itself is annealed."""
+        if self.kernel.kind != PATCHES or self.effort not in NESTED:
+            return 0
+        how = NESTED[self.effort]
+        expected = expected_triangles(self.kernel, self.sides, self.frame, tol)
+        return 0 if expected < how.above else math.floor(math.log(expected / how.least, 4.0))
+
+    def lattice(self, tol: float, error: float | None = None, turn: int = 0) -> FirstMesh:
+        return first_mesh(
+            self.surface, self.kernel, self.sides, self.frame, tol, error, self.two_sided, turn
+        )
+
+    def settled(self, lattice: FirstMesh) -> bool:
+        """Whether a lattice fits, so that annealing it would not pay."""
+        return seam_share(self.kernel, lattice.mesh, lattice.aim) <= _SEAMS
+
+    def drafts(self, lattice: FirstMesh, tol: float, report: Report) -> list[FirstMesh]:
+        """The best drafts from as many lattices as the effort has time for."""
+        how, cost = EFFORTS[self.effort], float(_size(lattice))
+        settled = self.settled(lattice)
+        number = how.drafts
+        if settled:
+            number, cost = how.lattices, cost / _FITTING
+        number = max(1, min(number, int(how.triangles // cost)))
+
+        def drafted(turn: int, report: Report = lambda _: None) -> FirstMesh:
+            error = None if settled else _ERRORS[turn % len(_ERRORS)]
+            fits = settled and turn == 0
+            start = lattice if fits else self.lattice(tol, error, turn)
+            return _with(start, draft(*self.given(start), error, report))
+
+        best: list[FirstMesh] = []
+        with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:
+            if number == 1:
+                best.append(drafted(0, report))
+            else:
+                for done, start in enumerate(pool.map(drafted, range(number)), 1):
+                    best = sorted([*best, start], key=_size)[: how.kept]
+                    report(done / number)
+            ends = pool.map(lambda start: _with(start, cycled(*self.given(start))), best)
+            return sorted(ends, key=_size)
+
+    def nested(self, tol: float, coarse: float, levels: int, report: Report) -> FirstMesh:
+        """The draft for ``tol`` from one for ``coarse`` that is refined ``levels`` times."""
+        error = _ERRORS[0]
+        start = self.lattice(coarse, error)
+        mesh = draft(*self.given(start), error, _between(report, 0.0, 0.4), finer=True)
+        start = _with(start, mesh)
+        for left in range(levels - 1, -1, -1):
+            aim = aim_for(tol * 4.0**left, 4 * _size(start))
+            start = refined(start, self.surface, self.frame, aim)
+            share = 0.6 * 0.25**left  # of the time, with all levels before
+            told = _between(report, 0.4 + 0.25 * share, 0.4 + share)
+            start = _with(start, finer_draft(*self.given(start), told, last=left == 0))
+        return start
+
+    def given(self, start: FirstMesh) -> tuple[KernelField, Mesh, float, str]:
+        """What every draft is made from."""
+        return self.kernel, start.mesh, start.aim, self.effort
+
+
+def _between(report: Report, low: float, high: float) -> Report:
+    """What hears fractions of a part that goes from ``low`` to ``high``."""
+    return lambda fraction: report(low + (high - low) * fraction)
+
+
+def _with(start: FirstMesh, mesh: Mesh) -> FirstMesh:
+    return dataclasses.replace(start, mesh=mesh)
 
 
 def _size(start: FirstMesh) -> int:

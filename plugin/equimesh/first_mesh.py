@@ -24,7 +24,7 @@ from equimesh.optimise.sweep import step_aside
 from equimesh.seeding import lattice_points
 from equimesh.triangulation import constrained_delaunay
 
-__all__ = ["FirstMesh", "first_mesh"]
+__all__ = ["FirstMesh", "aim_for", "expected_triangles", "first_mesh"]
 
 # What triangles give away for safety, in units of the tolerance, is the less the smaller they are:
 # between the lattice's errors, the optimiser's hinge, its aim and the tolerance itself.
@@ -71,30 +71,20 @@ def first_mesh(
     ``turn`` numbers lattices that start elsewhere, turned, with more or less to spare.
     """
     sides = _handed(sides, frame)
-    local = dataclasses.replace(
-        sides,
-        corners=frame.to_local(sides.corners),
-        lines=dataclasses.replace(sides.lines, nodes=frame.to_local(sides.lines.nodes)),
-    )
+    local = _localised(sides, frame)
     ring = _corners_only(local)
     chains = _Chains(np.empty((0, 2)), sides.lines.edges, np.empty(0, np.int64))
     inner = np.empty((0, 2))
     slack, aim = _MOST_SLACK, tol * (1.0 - _DATA_MARGIN)
     settled = kernel.kind == PATCHES and _coarse_is_enough(surface, sides, tol)
     if kernel.kind == PATCHES and not settled:
-        coarse, edges, walls = _outline(ring, local, chains)
-        extent = float(np.ptp(local.corners, axis=0).max())
-        floor = 1.0 / extent**2
-        expected = lattice_size(
-            kernel, coarse, constrained_delaunay(coarse, edges, walls), tol, floor
-        )
+        expected, floor = _expected(kernel, local, tol)
         if expected > _MOST:
             raise InputError(
                 f"The tolerance asks for about {expected:.1e} triangles: raise it, or mesh the "
                 "domain in parts."
             )
-        slack = min(_MOST_SLACK, _SLACK / math.sqrt(max(expected, 1.0)))
-        slack *= _SLACKS[turn % len(_SLACKS)]
+        slack = _slack(expected) * _SLACKS[turn % len(_SLACKS)]
         reached = 1.0 - 1.2 * slack
         aim = tol * (1.0 - _MARGIN * slack)
         height = tol if error is None else tol * error / reached
@@ -134,6 +124,35 @@ def first_mesh(
     if error is None:
         mesh.hinge[0] = 1.0 - slack
     return FirstMesh(mesh, sides, corner_of, aim, settled)
+
+
+def expected_triangles(kernel: KernelField, sides: Sides, frame: Frame, tol: float) -> float:
+    """About how many triangles a lattice over a smooth field has, for a tolerance in units of z."""
+    return _expected(kernel, _localised(_handed(sides, frame), frame), tol)[0]
+
+
+def aim_for(tol: float, triangles: float) -> float:
+    """The tolerance that the optimiser of so many triangles is to keep."""
+    return tol * (1.0 - _MARGIN * _slack(triangles))
+
+
+def _slack(triangles: float) -> float:
+    return min(_MOST_SLACK, _SLACK / math.sqrt(max(triangles, 1.0)))
+
+
+def _expected(kernel: KernelField, local: Sides, tol: float) -> tuple[float, float]:
+    """About how many triangles a lattice has, and the least metric it is laid in."""
+    chains = _Chains(np.empty((0, 2)), local.lines.edges, np.empty(0, np.int64))
+    coarse, edges, walls = _outline(_corners_only(local), local, chains)
+    floor = 1.0 / float(np.ptp(local.corners, axis=0).max()) ** 2
+    triangles = constrained_delaunay(coarse, edges, walls)
+    return lattice_size(kernel, coarse, triangles, tol, floor), floor
+
+
+def _localised(sides: Sides, frame: Frame) -> Sides:
+    """The sides in local coordinates."""
+    lines = dataclasses.replace(sides.lines, nodes=frame.to_local(sides.lines.nodes))
+    return dataclasses.replace(sides, corners=frame.to_local(sides.corners), lines=lines)
 
 
 class _Ring(NamedTuple):

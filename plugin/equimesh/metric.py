@@ -120,15 +120,15 @@ def lower_bound_of(hessian: NDArray[np.float64], areas: NDArray[np.float64], tol
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _needed(frame, child, coef, x, y, tol, floor):
-    """Lattice triangles per unit area at a point: of H alone (``floor`` = 0), or of the limited
-    metric."""
+    """Lattice triangles per unit area at a point, of H alone (``floor`` = 0) or of the limited
+    metric, and whether det H > 0 there."""
     if floor > 0.0:
         e1x, e1y, e2x, e2y, eps, _ = frame_at(frame, child, coef, x, y, 8.0 * tol, floor)
         constant = AREA_CONVEX if eps > 0 else AREA_SADDLE
         # dy/dx has the determinant 1 / det W, in units of 8 tol for H
-        return 4.0 / (constant * abs(e1x * e2y - e2x * e1y))
+        return 4.0 / (constant * abs(e1x * e2y - e2x * e1y)), eps > 0
     _, _, _, hxx, hxy, hyy = derivatives2(frame, child, coef, x, y)
-    return _density(hxx, hxy, hyy, tol)
+    return _density(hxx, hxy, hyy, tol), hxx * hyy > hxy * hxy
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -147,11 +147,37 @@ def _crossed(frame, child, coef, ax, ay, ux, uy, vx, vy):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor):
+    """Densities at three points inside each of n^2 parts of a triangle, and at how many det H > 0.
+
+    Their mean times the area is the rule of second order.
+    """
+    total, positive = 0.0, 0
+    for i in range(n):
+        for j in range(n - i):
+            for half in range(2):
+                if half == 1 and i + j >= n - 1:
+                    continue
+                # the corner of this part, and the direction in which it lies
+                u, v, side = (i + half) / n, (j + half) / n, (1.0 - 2.0 * half) / n
+                for k in range(3):
+                    p = u + side * (4.0 if k == 0 else 1.0) / 6.0
+                    q = v + side * (4.0 if k == 1 else 1.0) / 6.0
+                    needed, convex = _needed(
+                        frame, child, coef,
+                        ax + p * ux + q * vx, ay + p * uy + q * vy, tol, floor,
+                    )  # fmt: skip
+                    total += needed
+                    positive += 1 if convex else 0
+    return total, positive
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _integrate(frame, child, coef, points, triangles, depth, tol, floor, first, last, out):
     """Lattice triangles over each of the triangles ``first`` ... ``last`` into ``out``.
 
-    The rule of three points inside, of second order, on 4^depth parts, and on at least ``_FINE``^2
-    where det H changes its sign: there the density has a kink.
+    On 4^depth parts, and on at least ``_FINE``^2 where det H changes its sign: there the density
+    has a kink. Small triangles (``depth`` 0) tell that by the quadrature points themselves.
     """
     for t in range(first, last):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
@@ -159,23 +185,12 @@ def _integrate(frame, child, coef, points, triangles, depth, tol, floor, first, 
         ux, uy = points[b, 0] - ax, points[b, 1] - ay
         vx, vy = points[c, 0] - ax, points[c, 1] - ay
         n = 2**depth
-        if _crossed(frame, child, coef, ax, ay, ux, uy, vx, vy):
+        if depth > 0 and _crossed(frame, child, coef, ax, ay, ux, uy, vx, vy):
             n = max(n, _FINE)
-        total = 0.0
-        for i in range(n):
-            for j in range(n - i):
-                for half in range(2):
-                    if half == 1 and i + j >= n - 1:
-                        continue
-                    # the corner of this part, and the direction in which it lies
-                    u, v, side = (i + half) / n, (j + half) / n, (1.0 - 2.0 * half) / n
-                    for k in range(3):
-                        p = u + side * (4.0 if k == 0 else 1.0) / 6.0
-                        q = v + side * (4.0 if k == 1 else 1.0) / 6.0
-                        total += _needed(
-                            frame, child, coef,
-                            ax + p * ux + q * vx, ay + p * uy + q * vy, tol, floor,
-                        )  # fmt: skip
+        total, positive = _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor)
+        if depth == 0 and 0 < positive < 3:
+            n = _FINE
+            total, _ = _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor)
         out[t] = total * (ux * vy - uy * vx) / (6.0 * n * n)
 
 

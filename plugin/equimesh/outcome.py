@@ -12,7 +12,7 @@ from equimesh.frame import Frame
 from equimesh.optimise.mesh import FIXED, GONE, SLIDES, Mesh
 from equimesh.result import Boundary, Constraints
 
-__all__ = ["tagged_constraints", "user_mesh"]
+__all__ = ["border_of", "corners_of", "tagged_constraints", "user_mesh", "walls_of"]
 
 
 def user_mesh(
@@ -36,7 +36,7 @@ def user_mesh(
     plane = frame.to_user(np.stack([mesh.x[live], mesh.y[live]], 1))
     sides = start.sides
     kind, side = mesh.kind[live], mesh.side[live].astype(np.int64)
-    corner = _corners(mesh, start)[live]
+    corner = corners_of(mesh, start)[live]
     fixed = corner >= 0
     plane[fixed] = sides.vertices[corner[fixed]]
     sliding = np.flatnonzero(kind == SLIDES)
@@ -49,7 +49,7 @@ def user_mesh(
     z[lost] = (
         lowest + unit * mesh.z[live][lost]
     )  # on an outline drawn within the tolerance, beside the surface
-    border, own = _border(mesh, start)
+    border, own = border_of(mesh, start)
     edges = index[border]
     if frame.determinant < 0.0:
         triangles, edges = triangles[:, ::-1], edges[:, ::-1]
@@ -61,13 +61,9 @@ def user_mesh(
 def tagged_constraints(mesh: Mesh, start: FirstMesh) -> Constraints:
     """Edges and vertices that constraints asked for, in the numbers of ``user_mesh``."""
     sides, lines, index = start.sides, start.sides.lines, _numbers(mesh)
-    corner = _corners(mesh, start)
-    t, k = np.nonzero((mesh.wall == 1) & (mesh.tn > np.arange(len(mesh.tn))[:, None]))
-    alive = mesh.tv[t, 0] >= 0
-    t, k = t[alive], k[alive]
-    walls = np.stack([mesh.tv[t, k], mesh.tv[t, (k + 1) % 3]], 1)
-    own = _line_of(mesh, sides, corner, walls)
-    border, side = _border(mesh, start)
+    corner = corners_of(mesh, start)
+    walls, own = walls_of(mesh, start)
+    border, side = border_of(mesh, start)
     along, edge_tags = _tagged(own, lines.edge_tags)
     beside, side_tags = _tagged(side, lines.side_tags)
     _, place = np.unique(sides.vertices, axis=0, return_inverse=True)
@@ -100,7 +96,7 @@ def _numbers(mesh: Mesh) -> NDArray[np.int64]:
     return np.asarray(np.cumsum(mesh.kind != GONE) - 1)
 
 
-def _corners(mesh: Mesh, start: FirstMesh) -> NDArray[np.int64]:
+def corners_of(mesh: Mesh, start: FirstMesh) -> NDArray[np.int64]:
     """(v,) which of the sides' vertices every vertex is, -1 for none."""
     corner = np.full(len(mesh.kind), -1, np.int64)
     corner[: len(start.corner_of)] = start.corner_of
@@ -108,7 +104,7 @@ def _corners(mesh: Mesh, start: FirstMesh) -> NDArray[np.int64]:
     return corner
 
 
-def _border(mesh: Mesh, start: FirstMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def border_of(mesh: Mesh, start: FirstMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(b, 2) vertices of the border edges and (b,) the side that each lies on."""
     slots = np.flatnonzero(mesh.tv[:, 0] >= 0)
     row, k = np.nonzero(mesh.tn[slots] < 0)
@@ -116,8 +112,17 @@ def _border(mesh: Mesh, start: FirstMesh) -> tuple[NDArray[np.int64], NDArray[np
     slides = mesh.kind[edges] == SLIDES
     own = np.where(slides[:, 0], mesh.side[edges[:, 0]], mesh.side[edges[:, 1]])
     both = ~slides.any(1)
-    own[both] = _side_between(start.sides, _corners(mesh, start), mesh.side, edges[both])
+    own[both] = _side_between(start.sides, corners_of(mesh, start), mesh.side, edges[both])
     return edges, own
+
+
+def walls_of(mesh: Mesh, start: FirstMesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(w, 2) vertices of inner edges that must stay and (w,) the constraint line of each."""
+    t, k = np.nonzero((mesh.wall == 1) & (mesh.tn > np.arange(len(mesh.tn))[:, None]))
+    alive = mesh.tv[t, 0] >= 0
+    t, k = t[alive], k[alive]
+    walls = np.stack([mesh.tv[t, k], mesh.tv[t, (k + 1) % 3]], 1)
+    return walls, _line_of(mesh, start.sides, corners_of(mesh, start), walls)
 
 
 def _line_of(

@@ -17,7 +17,7 @@ from equimesh.fields.base import Field
 if TYPE_CHECKING:
     from equimesh.fields import Bound, Source
 
-__all__ = ["Profile", "profile", "profile_of"]
+__all__ = ["Profile", "profile", "profile_again", "profile_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +90,28 @@ def profile_of(
     errors, bounds = field.errors(points, triangles, limit)
     over = getattr(field, "bound", "surface")
     return Profile(errors, np.maximum(bounds, errors), points, triangles, over)
+
+
+def profile_again(
+    field: Field,
+    points: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    limit: float,
+    before: Profile,
+    row: NDArray[np.int64],
+) -> Profile:
+    """The profile of a mesh most of whose triangles another profile knows.
+
+    ``row`` (m,): where they may be found in it, negative for none. What moved is measured anew.
+    """
+    old = np.maximum(row, 0)
+    corners, known = points[triangles], before.points[before.triangles[old]]
+    new = np.flatnonzero((row < 0) | (corners != known).any(axis=(1, 2)))
+    errors, bounds = before.errors[old], before.bounds[old]
+    if len(new):
+        part = profile_of(field, points, triangles[new], limit)
+        errors[new], bounds[new] = part.errors, part.bounds
+    return Profile(errors, bounds, points, triangles, before.over)
 
 
 def profile(

@@ -20,7 +20,7 @@ from equimesh.metric import lower_bound
 from equimesh.optimise.driver import EFFORTS, repair
 from equimesh.optimise.mesh import Mesh
 from equimesh.outcome import tagged_constraints, user_mesh
-from equimesh.profile import profile_of
+from equimesh.profile import profile_again, profile_of
 from equimesh.result import Result, Status
 from equimesh.riemann.metric import Metric
 from equimesh.stages import Stages
@@ -179,10 +179,12 @@ def remesh(
         with stages.stage("optimise"):
             mesh = repair(kernel, mesh, start.aim, slots[bad])
         with stages.stage("certify"):
+            row = np.full(len(mesh.tv), -1)
+            row[slots] = np.arange(len(slots))
             points, triangles, boundary, slots = user_mesh(
                 mesh, start, frame, surface, unit, lowest
             )
-            profile = profile_of(surface, points, triangles, height)
+            profile = profile_again(surface, points, triangles, height, profile, row[slots])
     least = math.nan
     if surface.smooth:
         least = _lower_bound(surface, kernel, mesh, height)

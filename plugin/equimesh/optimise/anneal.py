@@ -42,7 +42,9 @@ from equimesh.optimise.sweep import (
 )
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 
-__all__ = ["VISITS", "anneal", "exchange", "exchange_all", "press", "relief", "shares"]
+__all__ = [
+    "VISITS", "anneal", "exchange", "exchange_all", "exchange_once", "press", "relief", "shares",
+]  # fmt: skip
 
 # For each power p: (p - 1) times the energy of a lattice triangle of error 1, in the mean of the
 # convex and the saddle lattice. Then an error of 1 has the least energy in a given area.
@@ -205,19 +207,38 @@ def exchange_all(
     _give_way(field, mesh, aim)
     stamp = np.zeros(len(mesh.x), np.int64)
     for number in range(1, _ROUNDS + 1):
-        candidates = movable(mesh)
-        candidates = candidates[stamp[candidates] == number - 1]
-        waste = vertex_waste(field, mesh, aim, candidates)
-        off = np.flatnonzero(np.abs(waste) > _OFF)
-        order = off[np.argsort(-np.abs(waste[off]), kind="stable")]
-        kept = _exchange(
-            field, mesh, aim, queue, candidates[order], waste[order], visits, stamp, number,
-            _PRICE[manner],
-        )  # fmt: skip
-        if kept == 0:
+        if exchange_once(field, mesh, aim, queue, visits, stamp, number) == 0:
             break
     _give_way(field, mesh, aim)
     mesh.count[MANNER] = SETTLE
+
+
+def exchange_once(
+    field: KernelField,
+    mesh: Mesh,
+    aim: float,
+    queue: Queue,
+    visits: int,
+    stamp: NDArray[np.int64],
+    number: int,
+    off: float = _OFF,
+) -> int:
+    """One pass in the mesh's manner over the vertices whose ``stamp`` (v,) is the last pass's.
+
+    ``off``: triangles too few or too many around a vertex that make an exchange worth a trial.
+    Vertices around what was kept get the stamp ``number``. Returns how many changes were kept.
+    """
+    candidates = movable(mesh)
+    candidates = candidates[stamp[candidates] == number - 1]
+    waste = vertex_waste(field, mesh, aim, candidates)
+    chosen = np.flatnonzero(np.abs(waste) > off)
+    order = chosen[np.argsort(-np.abs(waste[chosen]), kind="stable")]
+    price = _PRICE[int(mesh.count[MANNER])]
+    return int(
+        _exchange(
+            field, mesh, aim, queue, candidates[order], waste[order], visits, stamp, number, price
+        )
+    )
 
 
 def relief(error: float, two_sided: bool) -> float:

@@ -28,6 +28,7 @@ from equimesh.optimise.mesh import (
     movable,
     worst_errors,
 )
+from equimesh.optimise.nested import NESTED, settle
 from equimesh.optimise.regions import even_out
 from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.search import search_all
@@ -51,6 +52,7 @@ __all__ = [
     "Report",
     "cycled",
     "draft",
+    "finer_draft",
     "optimise",
     "repair",
     "seam_share",
@@ -65,6 +67,7 @@ _LEAST = 0.93
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
 _PRESSES = 4  # rounds of pressing on Hermite's errors, which are cheap
+_SPREADING = 8  # moves of each vertex that violations of a large mesh are spread by
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Hermite's formula.
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
@@ -131,10 +134,12 @@ def draft(
     effort: str,
     annealed: float | None,
     report: Report,
+    finer: bool = False,
 ) -> Mesh:
     """A mesh with few triangles whose errors by Hermite's formula keep the tolerance.
 
     ``annealed``: error to anneal the mesh for at first; None leaves the lattice as it is laid.
+    ``finer``: the mesh is to be refined, so that single errors above the tolerance do not matter.
     """
     with modelled(field, mesh):
         if annealed is not None:
@@ -144,12 +149,41 @@ def draft(
             rounds = EFFORTS[effort].evenings
             even_out(field, mesh, tol, annealed, queue, rounds, lambda f: report(0.3 + 0.5 * f))
             report(0.8)
+        if finer:
+            return mesh
         evaluate_all(field, mesh, tol)
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         if annealed is not None:
             _even_strain(field, mesh, tol)
         return _completed(field, mesh, tol, effort)
+
+
+def finer_draft(
+    field: KernelField, mesh: Mesh, tol: float, effort: str, report: Report, last: bool
+) -> Mesh:
+    """The draft for ``tol`` from one for four times as much whose triangles were cut in four.
+
+    ``last``: the mesh is not to be refined again, so its errors must keep ``tol``.
+    """
+    how = NESTED[effort]
+    with modelled(field, mesh):
+        settle(field, mesh, tol, how.last if last else how.between, lambda f: report(0.6 * f))
+        if not last:
+            return mesh
+        split_borders(field, mesh, tol)
+        flip_all(field, mesh, tol, 50)
+        queue = make_queue(len(mesh.x))
+        if how.thorough:
+            mesh.count[MANNER] = SPREAD
+            relax_all(field, mesh, tol, queue, _SPREADING)
+            mesh.count[MANNER] = SETTLE
+        report(0.7)
+        mesh = _lower_errors(field, mesh, tol, queue)
+        report(0.9)
+        if how.thorough and violations(mesh, 1.0)[0] == 0:
+            _remove(field, mesh, tol, 1, EFFORTS[effort].visits, lambda f: report(0.9 + 0.1 * f))
+        return mesh
 
 
 def cycled(field: KernelField, mesh: Mesh, tol: float, effort: str) -> Mesh:

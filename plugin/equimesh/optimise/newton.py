@@ -279,19 +279,18 @@ def _walk(F, m, old, step):
 
 
 @compiled
-def _hold_back(m, before, step, rise):
+def _hold_back(m, before, after, step, rise):
     """Take the steps from vertices around which errors have become dearer.
 
-    ``before`` (t,): price of each triangle at the old places; ``rise`` (v,) is scratch. So one bad
-    spot does not spoil the step of all others.
+    ``before`` and ``after`` (t,): price of each triangle at the old places and now; ``rise`` (v,)
+    is scratch. So one bad spot does not spoil the step of all others.
     """
     for v in range(rise.shape[0]):
         rise[v] = 0.0
     for t in range(m.count[TRIANGLES]):
         if m.tv[t, 0] >= 0:
-            more = _price(m, t) - before[t]
             for k in range(3):
-                rise[m.tv[t, k]] += more
+                rise[m.tv[t, k]] += after[t] - before[t]
     for v in range(rise.shape[0]):
         if rise[v] > 0.0:
             step[v, 0] = step[v, 1] = 0.0
@@ -328,7 +327,7 @@ def _tried(
         now = _prices(mesh, after)
         if now < energy:
             break
-        _hold_back(mesh, before, step, rise)
+        _hold_back(mesh, before, after, step, rise)
     return now
 
 

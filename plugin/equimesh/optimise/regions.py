@@ -21,7 +21,7 @@ from equimesh.optimise.energy import evaluate_all
 from equimesh.optimise.mesh import SOFT, Mesh, copied, restore, worst_errors
 from equimesh.optimise.relax import Queue
 
-__all__ = ["even_out"]
+__all__ = ["even_out", "regional_shares"]
 
 _GOAL = 0.985  # the largest errors to be, in units of the tolerance,
 _POWER = 48  # by a mean of this power
@@ -63,13 +63,17 @@ def even_out(
             least = expected
         if number == rounds or idle == _IDLE:
             break
-        share = np.clip(share * _largest_around(mesh) / _GOAL, _LEAST, _MOST)
-        mesh.share[:] = share
+        mesh.share[:] = regional_shares(mesh, share)
         exchange_all(field, mesh, error * tol, queue, VISITS, SOFT)
         share = mesh.share.copy()
         mesh.share[:] = 1.0
         report((number + 1) / rounds)
     restore(mesh, best)
+
+
+def regional_shares(mesh: Mesh, share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(v,) the next shares: larger where the largest errors around a vertex are, for the last."""
+    return np.clip(share * _largest_around(mesh) / _GOAL, _LEAST, _MOST)
 
 
 def _expected(mesh: Mesh) -> float:
