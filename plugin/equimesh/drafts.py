@@ -29,7 +29,7 @@ from equimesh.optimise.driver import (
     triangles_in,
 )
 from equimesh.optimise.mesh import Mesh
-from equimesh.optimise.nested import NESTED
+from equimesh.optimise.nested import Nested, nested_for
 from equimesh.refinement import refined
 
 __all__ = ["best_drafts", "finished"]
@@ -56,12 +56,14 @@ def best_drafts(
     progress.
     """
     job = _Job(surface, kernel, sides, frame, effort, two_sided)
-    levels = job.levels(tol)
-    if levels:
-        coarse = tol * 4.0**levels * NESTED[effort].error
-        lattice = job.lattice(coarse)
-        if not job.settled(lattice):
-            return [job.nested(tol, coarse, levels, report)]
+    if kernel.kind == PATCHES:
+        expected = expected_triangles(kernel, sides, frame, tol)
+        how = nested_for(effort, expected)
+        if how is not None:
+            levels = math.floor(math.log(expected / how.least, 4.0))
+            coarse = tol * 4.0**levels * how.error
+            if not job.settled(job.lattice(coarse)):
+                return [job.nested(tol, coarse, levels, how, report)]
     lattice = job.lattice(tol)
     if kernel.kind != PATCHES or lattice.settled:
         return [lattice]
@@ -78,14 +80,6 @@ class _Job:
     frame: Frame
     effort: str
     two_sided: bool
-
-    def levels(self, tol: float) -> int:
-        """How often a smaller mesh had better be refined; 0 where the mesh itself is annealed."""
-        if self.kernel.kind != PATCHES or self.effort not in NESTED:
-            return 0
-        how = NESTED[self.effort]
-        expected = expected_triangles(self.kernel, self.sides, self.frame, tol)
-        return 0 if expected < how.above else math.floor(math.log(expected / how.least, 4.0))
 
     def lattice(self, tol: float, error: float | None = None, turn: int = 0) -> FirstMesh:
         return first_mesh(
@@ -122,7 +116,9 @@ class _Job:
             ends = pool.map(lambda start: _with(start, cycled(*self.given(start))), best)
             return sorted(ends, key=_size)
 
-    def nested(self, tol: float, coarse: float, levels: int, report: Report) -> FirstMesh:
+    def nested(
+        self, tol: float, coarse: float, levels: int, how: Nested, report: Report
+    ) -> FirstMesh:
         """The draft for ``tol`` from one for ``coarse`` that is refined ``levels`` times."""
         error = _ERRORS[0]
         start = self.lattice(coarse, error)
@@ -133,7 +129,9 @@ class _Job:
             start = refined(start, self.surface, self.frame, aim)
             share = 0.6 * 0.25**left  # of the time, with all levels before
             told = _between(report, 0.4 + 0.25 * share, 0.4 + share)
-            start = _with(start, finer_draft(*self.given(start), told, last=left == 0))
+            start = _with(
+                start, finer_draft(self.kernel, start.mesh, aim, how, told, last=left == 0)
+            )
         return start
 
     def given(self, start: FirstMesh) -> tuple[KernelField, Mesh, float, str]:

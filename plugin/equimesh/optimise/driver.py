@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.kernel import PATCHES, KernelField
-from equimesh.optimise.anneal import anneal, exchange, press
+from equimesh.optimise.anneal import VISITS, anneal, exchange, press
 from equimesh.optimise.energy import evaluate_all
 from equimesh.optimise.greedy import refine
 from equimesh.optimise.mesh import (
@@ -28,7 +28,7 @@ from equimesh.optimise.mesh import (
     movable,
     worst_errors,
 )
-from equimesh.optimise.nested import NESTED, settle
+from equimesh.optimise.nested import Nested, settle
 from equimesh.optimise.regions import even_out
 from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.search import search_all
@@ -160,13 +160,12 @@ def draft(
 
 
 def finer_draft(
-    field: KernelField, mesh: Mesh, tol: float, effort: str, report: Report, last: bool
+    field: KernelField, mesh: Mesh, tol: float, how: Nested, report: Report, last: bool
 ) -> Mesh:
     """The draft for ``tol`` from one for four times as much whose triangles were cut in four.
 
     ``last``: the mesh is not to be refined again, so its errors must keep ``tol``.
     """
-    how = NESTED[effort]
     with modelled(field, mesh):
         settle(field, mesh, tol, how.last if last else how.between, lambda f: report(0.6 * f))
         if not last:
@@ -182,7 +181,7 @@ def finer_draft(
         mesh = _lower_errors(field, mesh, tol, queue)
         report(0.9)
         if how.thorough and violations(mesh, 1.0)[0] == 0:
-            _remove(field, mesh, tol, 1, EFFORTS[effort].visits, lambda f: report(0.9 + 0.1 * f))
+            _remove(field, mesh, tol, 1, VISITS, lambda f: report(0.9 + 0.1 * f))
         return mesh
 
 

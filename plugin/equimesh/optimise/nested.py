@@ -22,7 +22,7 @@ from equimesh.optimise.regions import regional_shares
 from equimesh.optimise.relax import make_queue
 from equimesh.optimise.sweep import flip_all
 
-__all__ = ["NESTED", "Nested", "settle"]
+__all__ = ["Nested", "nested_for", "settle"]
 
 
 _EXCHANGE = -1  # a pass of vertices that come and go; other steps are manners of all vertices
@@ -46,18 +46,32 @@ class Nested:
     thorough: bool
 
 
-NESTED = {
-    "fast": Nested(16_000, 4_000, 0.92, (SOFT, SOFT), (SOFT, SOFT), thorough=False),
-    "balanced": Nested(
-        48_000, 4_000, 0.98,
-        (SOFT, SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
-        (SOFT, HARD, _EXCHANGE, HARD, HARD, HARD),
-        thorough=True,
+_NESTED = {
+    "fast": (Nested(16_000, 4_000, 0.92, (SOFT, SOFT), (SOFT, SOFT), thorough=False),),
+    "balanced": (
+        Nested(
+            48_000, 12_000, 1.0,
+            (SOFT, SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
+            (SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
+            thorough=True,
+        ),
+        Nested(
+            200_000, 4_000, 0.98,
+            (SOFT, SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
+            (SOFT, HARD, _EXCHANGE, HARD, HARD, HARD),
+            thorough=True,
+        ),
     ),
+    "best": (),
 }  # fmt: skip
 _STEPS = 4  # of all vertices before edges flip
 _AIM = 0.97  # what vertices are exchanged for
 _OFF = 1.5  # triangles too few or too many around a vertex that make an exchange worth a trial
+
+
+def nested_for(effort: str, triangles: float) -> Nested | None:
+    """How a mesh of about so many triangles is made from smaller ones; None where it is not."""
+    return next((how for how in reversed(_NESTED[effort]) if how.above <= triangles), None)
 
 
 def settle(
