@@ -10,8 +10,8 @@ from equimesh.constraints import with_constraints
 from equimesh.domain import domain_geometry, sides_of
 from equimesh.fields import as_field
 from equimesh.first_mesh import first_mesh
-from equimesh.optimise.energy import evaluate_all
-from equimesh.optimise.mesh import FREE, SLIDES, worst_errors
+from equimesh.optimise.energy import evaluate_all, worst_errors
+from equimesh.optimise.mesh import FREE, SLIDES
 from equimesh.outcome import border_of, user_mesh, walls_of
 from equimesh.profile import profile_again, profile_of
 from equimesh.refinement import refined

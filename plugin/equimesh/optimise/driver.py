@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.optimise.anneal import VISITS, anneal, exchange, press
-from equimesh.optimise.energy import evaluate_all
+from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.greedy import refine
 from equimesh.optimise.mesh import (
     EVEN,
@@ -26,7 +26,6 @@ from equimesh.optimise.mesh import (
     copied,
     enlarged,
     movable,
-    worst_errors,
 )
 from equimesh.optimise.nested import Nested, settle
 from equimesh.optimise.regions import even_out

@@ -46,6 +46,8 @@ __all__ = [
     "set_jet",
     "share_along",
     "share_inside",
+    "worst_errors",
+    "worst_of",
 ]
 
 ROOM = 0.98  # how far vertices may leave the surface, in units of the tolerance, where they may
@@ -198,3 +200,17 @@ def evaluate_all(
 def worst_of(m, t):
     """Largest error of triangle t."""
     return max(abs(m.ee[t, 0]), abs(m.ee[t, 1]), abs(m.ee[t, 2]), abs(m.ie[t]))
+
+
+@compiled
+def _worst_errors(m, out):
+    for t in range(m.count[TRIANGLES]):
+        if m.tv[t, 0] >= 0:
+            out[t] = worst_of(m, t)
+
+
+def worst_errors(mesh: Mesh) -> NDArray[np.float64]:
+    """(t,) largest error of each triangle, in units of the tolerance; 0 for spare slots."""
+    out = np.zeros(len(mesh.tv))
+    _worst_errors(mesh, out)
+    return out

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from equimesh.fields.compiled import compiled
 from equimesh.fields.reference import by_reference
 
 __all__ = [
@@ -24,7 +25,6 @@ __all__ = [
     "enlarged",
     "movable",
     "restore",
-    "worst_errors",
 ]
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
@@ -113,17 +113,11 @@ def build(
     kinds[:n], side_of[:n] = kind, side
     tv, tn = np.full((nt, 3), -1, np.int64), np.full((nt, 3), -1, np.int64)
     tv[:m] = triangles
-    start, end = (
-        triangles.ravel().astype(np.int64),
-        np.roll(triangles, -1, axis=1).ravel(),
-    )
-    key, back = start * n + end, end.astype(np.int64) * n + start
-    order = np.argsort(key, kind="stable")
-    place = np.minimum(np.searchsorted(key[order], back), 3 * m - 1)
-    twin = order[place]
-    tn[:m] = np.where(key[twin] == back, twin // 3, -1).reshape(m, 3)
+    first = np.concatenate([[0], np.cumsum(np.bincount(triangles.ravel(), minlength=n))])
+    _link(tv[:m], first[:-1].copy(), first, np.zeros(3 * m, np.int64), tn)
     wall = np.zeros((nt, 3), np.uint8)
     if walls is not None and len(walls):
+        start, end = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
         low, high = np.minimum(start, end), np.maximum(start, end)
         kept = np.sort(walls.min(1) * n + walls.max(1))
         found = np.minimum(np.searchsorted(kept, low * n + high), len(kept) - 1)
@@ -149,6 +143,28 @@ def build(
     )  # fmt: skip
 
 
+@compiled
+def _link(triangles, free, first, leaving, tn):
+    """Neighbours (t, 3) by buckets of the sides that leave each vertex.
+
+    ``first`` (v + 1,) are the buckets' bounds in ``leaving`` (3 t,), and ``free`` (v,) their
+    beginnings once more; the last two are written over.
+    """
+    for t in range(triangles.shape[0]):
+        for k in range(3):
+            v = triangles[t, k]
+            leaving[free[v]] = 3 * t + k
+            free[v] += 1
+    for t in range(triangles.shape[0]):
+        for k in range(3):
+            a, b = triangles[t, k], triangles[t, (k + 1) % 3]
+            for i in range(first[b], first[b + 1]):
+                u, j = leaving[i] // 3, leaving[i] % 3
+                if triangles[u, (j + 1) % 3] == a:
+                    tn[t, k] = u
+                    break
+
+
 def compact(
     mesh: Mesh,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int8], NDArray[np.int64]]:
@@ -164,11 +180,6 @@ def compact(
 def movable(mesh: Mesh) -> NDArray[np.int64]:
     """The vertices that may move and go."""
     return np.asarray(np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES)))
-
-
-def worst_errors(mesh: Mesh) -> NDArray[np.float64]:
-    """(t,) largest error of each triangle, in units of the tolerance; spare slots have any."""
-    return np.asarray(np.maximum(np.abs(mesh.ee).max(1), np.abs(mesh.ie)))
 
 
 def copied(mesh: Mesh) -> Mesh:

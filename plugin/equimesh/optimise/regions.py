@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from equimesh.fields.kernel import KernelField
 from equimesh.optimise.anneal import VISITS, exchange_all, press, shares
-from equimesh.optimise.energy import evaluate_all
-from equimesh.optimise.mesh import SOFT, Mesh, copied, restore, worst_errors
+from equimesh.optimise.energy import evaluate_all, worst_errors
+from equimesh.optimise.mesh import SOFT, Mesh, copied, restore
 from equimesh.optimise.relax import Queue
 
 __all__ = ["even_out", "regional_shares"]
