@@ -16,7 +16,7 @@ import numpy as np
 from equimesh.fields.kernel import KernelField
 from equimesh.optimise.anneal import VISITS, exchange_once
 from equimesh.optimise.energy import evaluate_all
-from equimesh.optimise.mesh import HARD, MANNER, SETTLE, SOFT, Mesh
+from equimesh.optimise.mesh import FIRM, HARD, MANNER, SETTLE, SOFT, Mesh
 from equimesh.optimise.newton import relax_together
 from equimesh.optimise.regions import regional_shares
 from equimesh.optimise.relax import make_queue
@@ -47,7 +47,7 @@ class Nested:
 
 
 _NESTED = {
-    "fast": (Nested(16_000, 4_000, 0.92, (SOFT, SOFT), (SOFT, SOFT), thorough=False),),
+    "fast": (Nested(16_000, 4_000, 0.91, (SOFT, SOFT), (SOFT, FIRM), thorough=False),),
     "balanced": (
         Nested(
             48_000, 12_000, 1.0,
