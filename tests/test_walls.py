@@ -221,3 +221,31 @@ def test_removal_from_a_wall_fills_both_parts_with_the_least_penalty():
         t, k = np.nonzero((mesh.wall == 1) & (mesh.tv[:, :1] >= 0))
         assert len(t) == 2
         assert set(mesh.tv[t, k]) == {start, end}
+
+
+@pytest.mark.parametrize("height", [1e-4, 1e-8])
+def test_a_vertex_too_near_to_the_border_goes_onto_it(height):
+    """Splits of edges beside the border would otherwise come nearer by half each time."""
+    plane = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, -1 + height]])
+    ring = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
+    triangles = constrained_delaunay(plane, ring)
+    F = field()
+    z = np.array([value(F, *p) for p in plane])
+    kind = np.array([FIXED] * 4 + [FREE], np.int8)
+    mesh = build(
+        np.column_stack([plane, z]), triangles, kind, np.zeros(5, np.int64),
+        np.hstack([plane[:4], np.roll(plane[:4], -1, axis=0)]),
+    )  # fmt: skip
+    evaluate_all(F, mesh, TOL)
+    t, k = next(
+        (t, k) for t in range(len(triangles)) for k in range(3)
+        if {mesh.tv[t, k], mesh.tv[t, (k + 1) % 3]} == {0, 4}
+    )  # fmt: skip
+    v = split_edge(F, mesh, TOL, t, k, 0.5)
+    assert v == 5
+    if height > 1e-6:
+        assert mesh.kind[v] == FREE
+        assert mesh.y[v] == pytest.approx(-1 + height / 2)
+    else:
+        assert (mesh.kind[v], mesh.side[v], mesh.y[v]) == (SLIDES, 0, -1.0)
+        assert mesh.x[v] == pytest.approx(-0.5)

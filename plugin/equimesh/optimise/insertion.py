@@ -73,8 +73,32 @@ def _become(m, t, a, b, c, n0, n1, n2, wall, e, p):
 
 
 @compiled
+def _onto_border(m, t, k, s):
+    """Where a vertex at the share s of an inner edge belongs: triangle, edge and share.
+
+    Another edge of one of the two triangles, where that must stay and is so near that the vertex
+    would lie beside it. Once it lies on it, flips can take away the sliver.
+    """
+    a, b = m.tv[t, k], m.tv[t, (k + 1) % 3]
+    x, y = m.x[a] + s * (m.x[b] - m.x[a]), m.y[a] + s * (m.y[b] - m.y[a])
+    for r in (t, m.tn[t, k]):
+        for j in range(3):
+            if m.tn[r, j] >= 0 and m.wall[r, j] == 0:
+                continue
+            p, q = m.tv[r, j], m.tv[r, (j + 1) % 3]
+            if turns_by(m.x[p], m.y[p], m.x[q], m.y[q], x, y, _BESIDE):
+                continue
+            dx, dy = m.x[q] - m.x[p], m.y[q] - m.y[p]
+            along = ((x - m.x[p]) * dx + (y - m.y[p]) * dy) / (dx * dx + dy * dy)
+            return r, j, min(max(along, 0.1), 0.9)
+    return t, k, s
+
+
+@compiled
 def split_edge(F, m, tol, t, k, s):
     """Put a vertex at the share s of edge k of t; returns it, or -1 where that is impossible."""
+    if m.tn[t, k] >= 0 and m.wall[t, k] == 0:
+        t, k, s = _onto_border(m, t, k, s)
     a, b, c = m.tv[t, k], m.tv[t, (k + 1) % 3], m.tv[t, (k + 2) % 3]
     x, y = m.x[a] + s * (m.x[b] - m.x[a]), m.y[a] + s * (m.y[b] - m.y[a])
     u = m.tn[t, k]
