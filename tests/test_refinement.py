@@ -169,3 +169,9 @@ def test_a_profile_measures_again_only_what_moved(monkeypatch):
     whole = profile_of(surface, points, triangles, 1e-3)
     np.testing.assert_allclose(again.errors, whole.errors, rtol=5e-3)
     assert (again.bounds >= whole.errors * (1 - 1e-9)).all()
+
+
+@pytest.mark.parametrize("effort", ["fast", "balanced", "best"])
+def test_more_triangles_than_memory_holds_are_refused_at_once(effort):
+    with pytest.raises(equimesh.InputError, match="asks for about"):
+        equimesh.remesh(FRANKE, 1e-9, UNIT, effort=effort)

@@ -80,11 +80,6 @@ def first_mesh(
     settled = kernel.kind == PATCHES and _coarse_is_enough(surface, sides, tol)
     if kernel.kind == PATCHES and not settled:
         expected, floor = _expected(kernel, local, tol)
-        if expected > _MOST:
-            raise InputError(
-                f"The tolerance asks for about {expected:.1e} triangles: raise it, or mesh the "
-                "domain in parts."
-            )
         slack = _slack(expected) * _SLACKS[turn % len(_SLACKS)]
         reached = 1.0 - 1.2 * slack
         aim = tol * (1.0 - _MARGIN * slack)
@@ -130,7 +125,10 @@ def first_mesh(
 
 
 def expected_triangles(kernel: KernelField, sides: Sides, frame: Frame, tol: float) -> float:
-    """About how many triangles a lattice over a smooth field has, for a tolerance in units of z."""
+    """About how many triangles a lattice over a smooth field has, for a tolerance in units of z.
+
+    Raises InputError where they are more than memory is meant to hold.
+    """
     return _expected(kernel, _localised(_handed(sides, frame), frame), tol)[0]
 
 
@@ -149,7 +147,13 @@ def _expected(kernel: KernelField, local: Sides, tol: float) -> tuple[float, flo
     coarse, edges, walls = _outline(_corners_only(local), local, chains)
     floor = 1.0 / float(np.ptp(local.corners, axis=0).max()) ** 2
     triangles = constrained_delaunay(coarse, edges, walls)
-    return lattice_size(kernel, coarse, triangles, tol, floor), floor
+    expected = lattice_size(kernel, coarse, triangles, tol, floor)
+    if expected > _MOST:
+        raise InputError(
+            f"The tolerance asks for about {expected:.1e} triangles: raise it, or mesh the domain "
+            "in parts."
+        )
+    return expected, floor
 
 
 def _localised(sides: Sides, frame: Frame) -> Sides:
