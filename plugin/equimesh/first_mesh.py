@@ -33,7 +33,7 @@ _MOST_SLACK = 0.015
 _MARGIN = 0.05  # of it lies between the aim and the tolerance
 _DATA_MARGIN = 3e-3  # and on data, in units of the tolerance
 _SLACKS = (1.0, 0.6)  # how much of it lattices take in turn: with luck less is enough
-_ROOM = 0.3  # share of spare slots
+_ROOM = 0.3  # share of spare slots where a lattice is laid
 _MOST = 2e7  # triangles that memory is meant to hold
 
 
@@ -113,8 +113,9 @@ def first_mesh(
     user[known] = sides.vertices[corner_of[known]]
     z = surface.value(user[:, 0], user[:, 1])
     mesh = build(
-        np.column_stack([every, z]), triangles, kind, side_of, local.segments, walls, room=_ROOM
-    )
+        np.column_stack([every, z]), triangles, kind, side_of, local.segments, walls,
+        room=_ROOM if len(inner) else 1.0,
+    )  # fmt: skip
     if two_sided:
         mesh.count[HEIGHTS] = 1
         if kernel.kind == PATCHES and not settled:
