@@ -57,12 +57,12 @@ def best_drafts(
     """
     job = _Job(surface, kernel, sides, frame, effort, two_sided)
     if kernel.kind == PATCHES:
-        expected = expected_triangles(kernel, sides, frame, tol)
+        expected = job.expected(tol)
         how = nested_for(effort, expected)
         if how is not None:
             levels = math.floor(math.log(expected / how.least, 4.0))
             coarse = tol * 4.0**levels * how.error
-            if not job.settled(job.lattice(coarse)):
+            if not job.fits(job.lattice(coarse)):
                 return [job.nested(tol, coarse, levels, how, report)]
     lattice = job.lattice(tol)
     if kernel.kind != PATCHES or lattice.settled:
@@ -80,29 +80,37 @@ class _Job:
     frame: Frame
     effort: str
     two_sided: bool
+    sizes: dict[float, float] = dataclasses.field(default_factory=dict)  # by tolerance
+
+    def expected(self, tol: float) -> float:
+        """About how many triangles a lattice has."""
+        if tol not in self.sizes:
+            self.sizes[tol] = expected_triangles(self.kernel, self.sides, self.frame, tol)
+        return self.sizes[tol]
 
     def lattice(self, tol: float, error: float | None = None, turn: int = 0) -> FirstMesh:
         return first_mesh(
-            self.surface, self.kernel, self.sides, self.frame, tol, error, self.two_sided, turn
-        )
+            self.surface, self.kernel, self.sides, self.frame, tol, error, self.two_sided, turn,
+            self.expected(tol) if self.kernel.kind == PATCHES else None,
+        )  # fmt: skip
 
-    def settled(self, lattice: FirstMesh) -> bool:
+    def fits(self, lattice: FirstMesh) -> bool:
         """Whether a lattice fits, so that annealing it would not pay."""
         return seam_share(self.kernel, lattice.mesh, lattice.aim) <= _SEAMS
 
     def drafts(self, lattice: FirstMesh, tol: float, report: Report) -> list[FirstMesh]:
         """The best drafts from as many lattices as the effort has time for."""
         how, cost = EFFORTS[self.effort], float(_size(lattice))
-        settled = self.settled(lattice)
+        fits = self.fits(lattice)
         number = how.drafts
-        if settled:
+        if fits:
             number, cost = how.lattices, cost / _FITTING
         number = max(1, min(number, int(how.triangles // cost)))
 
         def drafted(turn: int, report: Report = lambda _: None) -> FirstMesh:
-            error = None if settled else _ERRORS[turn % len(_ERRORS)]
-            fits = settled and turn == 0
-            start = lattice if fits else self.lattice(tol, error, turn)
+            error = None if fits else _ERRORS[turn % len(_ERRORS)]
+            laid = fits and turn == 0
+            start = lattice if laid else self.lattice(tol, error, turn)
             return _with(start, draft(*self.given(start), error, report))
 
         best: list[FirstMesh] = []

@@ -24,7 +24,7 @@ from equimesh.optimise.sweep import step_aside
 from equimesh.seeding import lattice_points
 from equimesh.triangulation import constrained_delaunay
 
-__all__ = ["FirstMesh", "aim_for", "expected_triangles", "first_mesh"]
+__all__ = ["FirstMesh", "aim_for", "expected_triangles", "first_mesh", "heights_at"]
 
 # What triangles give away for safety, in units of the tolerance, is the less the smaller they are:
 # between the lattice's errors, the optimiser's hinge, its aim and the tolerance itself.
@@ -63,6 +63,7 @@ def first_mesh(
     error: float | None = None,
     two_sided: bool = False,
     turn: int = 0,
+    expected: float | None = None,
 ) -> FirstMesh:
     """Vertices and triangles to start from, for a tolerance in units of z.
 
@@ -70,6 +71,7 @@ def first_mesh(
     less than the optimiser's hinge, so that they are left alone. ``two_sided``: vertices may leave
     the surface; where it is convex or concave they start beyond it (``kernel`` must know it).
     ``turn`` numbers lattices that start elsewhere, turned, with more or less to spare.
+    ``expected``: what ``expected_triangles`` says, where it was asked already.
     """
     sides = _handed(sides, frame)
     local = _localised(sides, frame)
@@ -79,7 +81,9 @@ def first_mesh(
     slack, aim = _MOST_SLACK, tol * (1.0 - _DATA_MARGIN)
     settled = kernel.kind == PATCHES and _coarse_is_enough(surface, sides, tol)
     if kernel.kind == PATCHES and not settled:
-        expected, floor = _expected(kernel, local, tol)
+        floor = _floor(local)
+        if expected is None:
+            expected = _expected(kernel, local, tol)
         slack = _slack(expected) * _SLACKS[turn % len(_SLACKS)]
         reached = 1.0 - 1.2 * slack
         aim = tol * (1.0 - _MARGIN * slack)
@@ -108,10 +112,7 @@ def first_mesh(
     side_of = np.zeros(len(every), np.int64)
     side_of[:b] = ring.side
     side_of[b + n : len(points)] = len(local.corners) + chains.edge
-    user = frame.to_user(every)
-    known = np.flatnonzero(corner_of >= 0)
-    user[known] = sides.vertices[corner_of[known]]
-    z = surface.value(user[:, 0], user[:, 1])
+    z = heights_at(surface, sides, frame, every, corner_of)
     mesh = build(
         np.column_stack([every, z]), triangles, kind, side_of, local.segments, walls,
         room=_ROOM if len(inner) else 1.0,
@@ -125,12 +126,27 @@ def first_mesh(
     return FirstMesh(mesh, sides, corner_of, aim, settled)
 
 
+def heights_at(
+    surface: Field,
+    sides: Sides,
+    frame: Frame,
+    points: NDArray[np.float64],
+    corner: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """(n,) heights at (n, 2) local points; those of ``sides.vertices`` (``corner``, -1: none) at
+    the coordinates they were given."""
+    user = frame.to_user(points)
+    known = np.flatnonzero(corner >= 0)
+    user[known] = sides.vertices[corner[known]]
+    return np.asarray(surface.value(user[:, 0], user[:, 1]))
+
+
 def expected_triangles(kernel: KernelField, sides: Sides, frame: Frame, tol: float) -> float:
     """About how many triangles a lattice over a smooth field has, for a tolerance in units of z.
 
     Raises InputError where they are more than memory is meant to hold.
     """
-    return _expected(kernel, _localised(_handed(sides, frame), frame), tol)[0]
+    return _expected(kernel, _localised(_handed(sides, frame), frame), tol)
 
 
 def aim_for(tol: float, triangles: float) -> float:
@@ -142,19 +158,22 @@ def _slack(triangles: float) -> float:
     return min(_MOST_SLACK, _SLACK / math.sqrt(max(triangles, 1.0)))
 
 
-def _expected(kernel: KernelField, local: Sides, tol: float) -> tuple[float, float]:
-    """About how many triangles a lattice has, and the least metric it is laid in."""
+def _floor(local: Sides) -> float:
+    """The least metric that lattices are laid in."""
+    return 1.0 / float(np.ptp(local.corners, axis=0).max()) ** 2
+
+
+def _expected(kernel: KernelField, local: Sides, tol: float) -> float:
     chains = _Chains(np.empty((0, 2)), local.lines.edges, np.empty(0, np.int64))
     coarse, edges, walls = _outline(_corners_only(local), local, chains)
-    floor = 1.0 / float(np.ptp(local.corners, axis=0).max()) ** 2
     triangles = constrained_delaunay(coarse, edges, walls)
-    expected = lattice_size(kernel, coarse, triangles, tol, floor)
+    expected = lattice_size(kernel, coarse, triangles, tol, _floor(local))
     if expected > _MOST:
         raise InputError(
             f"The tolerance asks for about {expected:.1e} triangles: raise it, or mesh the domain "
             "in parts."
         )
-    return expected, floor
+    return expected
 
 
 def _localised(sides: Sides, frame: Frame) -> Sides:

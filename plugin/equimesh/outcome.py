@@ -12,7 +12,9 @@ from equimesh.frame import Frame
 from equimesh.optimise.mesh import FIXED, GONE, SLIDES, Mesh
 from equimesh.result import Boundary, Constraints
 
-__all__ = ["border_of", "corners_of", "tagged_constraints", "user_mesh", "walls_of"]
+__all__ = [
+    "border_of", "corners_of", "numbers_of", "tagged_constraints", "user_mesh", "walls_of",
+]  # fmt: skip
 
 
 def user_mesh(
@@ -31,7 +33,7 @@ def user_mesh(
     """
     slots = np.flatnonzero(mesh.tv[:, 0] >= 0)
     live = np.flatnonzero(mesh.kind != GONE)
-    index = _numbers(mesh)
+    index = numbers_of(mesh)
     triangles = index[mesh.tv[slots]]
     plane = frame.to_user(np.stack([mesh.x[live], mesh.y[live]], 1))
     sides = start.sides
@@ -60,7 +62,7 @@ def user_mesh(
 
 def tagged_constraints(mesh: Mesh, start: FirstMesh) -> Constraints:
     """Edges and vertices that constraints asked for, in the numbers of ``user_mesh``."""
-    sides, lines, index = start.sides, start.sides.lines, _numbers(mesh)
+    sides, lines, index = start.sides, start.sides.lines, numbers_of(mesh)
     corner = corners_of(mesh, start)
     walls, own = walls_of(mesh, start)
     border, side = border_of(mesh, start)
@@ -91,7 +93,7 @@ def _tagged(
     return order[np.repeat(first, count) + step], np.repeat(tags[:, 1], count)
 
 
-def _numbers(mesh: Mesh) -> NDArray[np.int64]:
+def numbers_of(mesh: Mesh) -> NDArray[np.int64]:
     """(v,) the number of every vertex among the live ones."""
     return np.asarray(np.cumsum(mesh.kind != GONE) - 1)
 

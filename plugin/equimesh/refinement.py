@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.base import Field
-from equimesh.first_mesh import FirstMesh
+from equimesh.first_mesh import FirstMesh, heights_at
 from equimesh.frame import Frame
 from equimesh.locality import curve_order
-from equimesh.optimise.mesh import FREE, GONE, HEIGHTS, SLIDES, build
-from equimesh.outcome import border_of, corners_of, walls_of
+from equimesh.optimise.mesh import FREE, GONE, HEIGHTS, SLIDES, build, compact
+from equimesh.outcome import border_of, corners_of, numbers_of, walls_of
 
 __all__ = ["refined"]
 
@@ -29,28 +29,28 @@ def refined(start: FirstMesh, surface: Field, frame: Frame, aim: float) -> First
     heights above it fall to a quarter, as the tolerance does.
     """
     mesh, sides = start.mesh, start.sides
-    live = mesh.kind != GONE
-    index, n = np.cumsum(live) - 1, int(live.sum())
-    triangles = index[mesh.tv[mesh.tv[:, 0] >= 0]]
+    live, index = mesh.kind != GONE, numbers_of(mesh)
+    old, triangles, kind, side = compact(mesh)
+    n = len(old)
     ends = np.stack([triangles, np.roll(triangles, -1, axis=1)], 2).reshape(-1, 2)
     keys, edge = np.unique(_keys(ends, n), return_inverse=True)
     low, high = keys // n, keys % n
 
-    def with_middles(old: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.concatenate([old[live], 0.5 * (old[live][low] + old[live][high])])
+    def with_middles(of: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.concatenate([of, 0.5 * (of[low] + of[high])])
 
-    points = np.stack([with_middles(mesh.x), with_middles(mesh.y)], 1)
-    above = 0.25 * with_middles(mesh.w)
-    kind = np.concatenate([mesh.kind[live], np.full(len(keys), FREE, np.int8)])
-    side = np.concatenate([mesh.side[live], np.zeros(len(keys), np.int64)])
+    def middle_of(edges: NDArray[np.int64]) -> NDArray[np.int64]:
+        return n + np.searchsorted(keys, _keys(index[edges], n))
+
+    points, above = with_middles(old[:, :2]), 0.25 * with_middles(mesh.w[live])
+    kind = np.concatenate([kind, np.full(len(keys), FREE, np.int8)])
+    side = np.concatenate([side, np.zeros(len(keys), np.int64)])
     corner = np.concatenate([corners_of(mesh, start)[live], np.full(len(keys), -1)])
     border, own = border_of(mesh, start)
     walls, line = walls_of(mesh, start)
     for edges, row in ((border, own), (walls, len(sides.corners) + line)):
-        middle = n + np.searchsorted(keys, _keys(index[edges], n))
-        kind[middle], side[middle] = SLIDES, row
-    between = n + np.searchsorted(keys, _keys(index[walls], n))
-    halves = np.vstack([np.stack([end, between], 1) for end in index[walls].T])
+        kind[middle_of(edges)], side[middle_of(edges)] = SLIDES, row
+    halves = np.vstack([np.stack([end, middle_of(walls)], 1) for end in index[walls].T])
 
     # Near in the plane is to be near in memory.
     order = curve_order(points)
@@ -60,9 +60,7 @@ def refined(start: FirstMesh, surface: Field, frame: Frame, aim: float) -> First
     points, above, corner = points[order], above[order], corner[order]
     quarters = quarters[curve_order(points[quarters].mean(1))]
 
-    user = frame.to_user(points)
-    user[corner >= 0] = sides.vertices[corner[corner >= 0]]
-    z = surface.value(user[:, 0], user[:, 1]) + above
+    z = heights_at(surface, sides, frame, points, corner) + above
     fine = build(
         np.column_stack([points, z]), quarters, kind[order], side[order], mesh.sides, place[halves],
         room=_ROOM,

@@ -345,9 +345,7 @@ def _refine(field: KernelField, mesh: Mesh, tol: float) -> Mesh:
 
 def _violated(mesh: Mesh) -> NDArray[np.int64]:
     """Triangles with an error above the tolerance, the worst first."""
-    m = int(mesh.count[0])
-    worst = worst_errors(mesh)[:m]
-    worst[mesh.tv[:m, 0] < 0] = 0.0
+    worst = worst_errors(mesh)
     found = np.flatnonzero(worst > 1.0)
     return np.asarray(found[np.argsort(-worst[found], kind="stable")])
 
