@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -10,6 +12,13 @@ import numba
 __all__ = ["in_ranges"]
 
 _MOST = 64  # ranges
+
+
+@functools.cache
+def _helpers(process: int, number: int) -> ThreadPoolExecutor:
+    """Threads beside the caller's, which wait for work: to start them would take longer than a
+    small mesh does. A forked process needs its own."""
+    return ThreadPoolExecutor(number, "equimesh")
 
 
 def in_ranges(work: Callable[[int, int], None], count: int, length: int = 2048) -> None:
@@ -22,10 +31,23 @@ def in_ranges(work: Callable[[int, int], None], count: int, length: int = 2048) 
     length = max(length, -(-count // _MOST))
     ranges = [(start, min(start + length, count)) for start in range(0, count, length)]
     threads = min(numba.config.NUMBA_NUM_THREADS, len(ranges))
-    if threads <= 1:
-        for start, end in ranges:
+
+    def share() -> None:
+        while ranges:
+            try:
+                start, end = ranges.pop()
+            except IndexError:  # another thread was faster
+                return
             work(start, end)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        for done in [pool.submit(work, start, end) for start, end in ranges]:
-            done.result()
+
+    if threads > 1:
+        helpers = _helpers(os.getpid(), numba.config.NUMBA_NUM_THREADS - 1)
+        shares = [helpers.submit(share) for _ in range(threads - 1)]
+        try:
+            share()
+        finally:
+            for other in shares:
+                if not other.cancel():
+                    other.result()
+    else:
+        share()
