@@ -1,15 +1,25 @@
 """Errors by Hermite's formula: exact for quintics along edges, for cubics inside triangles."""
 
+import math
+
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import equimesh
+from equimesh.fields.dispatch import value as value_at
+from equimesh.fields.function import Function
+from equimesh.fields.kernel import KernelField
+from equimesh.optimise.energy import set_jet
 from equimesh.optimise.mesh import FREE, Mesh, build
 from equimesh.optimise.model import (
+    climbed,
     edge_gradient,
+    halved_edge,
     inner_gradient,
+    mixed_inner,
     model_edge,
     model_inner,
     smooth_edge,
@@ -17,6 +27,8 @@ from equimesh.optimise.model import (
 )
 
 seeds = st.integers(0, 2**32 - 1)
+WAVES = Function("sin(5*x)*cos(4*y) + x*y").kernel(shapely.box(-1, -1, 1, 1), 1e-6)
+BOWL = Function("2*x^2 + x*y + y^2").kernel(shapely.box(-1, -1, 1, 1), 1e-6)
 
 
 def one_triangle(rng: np.random.Generator) -> Mesh:
@@ -60,6 +72,25 @@ def lifted(m: Mesh, c: Form, heights: np.ndarray) -> None:
     m.jet[:3] = np.column_stack([value(part, x, y) * np.ones(3) for part in parts])
     m.w[:3] = heights
     m.z[:3] = value(c, x, y) + heights
+
+
+def laid(field: KernelField, m: Mesh, heights: np.ndarray) -> None:
+    """Vertices ``heights`` above a field, with its derivatives."""
+    for v in range(3):
+        z = set_jet(field, m, v, m.x[v], m.y[v])
+        m.w[v], m.z[v] = heights[v], z + heights[v]
+
+
+def error_at(field: KernelField, m: Mesh, weights: np.ndarray) -> np.ndarray:
+    """Errors of the triangle at barycentric coordinates (n, 3)."""
+    x, y = weights @ m.x[:3], weights @ m.y[:3]
+    surface = np.array([value_at(field, *place) for place in zip(x, y, strict=True)])
+    return surface - weights @ m.z[:3]
+
+
+def weights_of(m: Mesh, x: float, y: float) -> np.ndarray:
+    """Barycentric coordinates of a place."""
+    return np.linalg.solve(np.vstack([m.x[:3], m.y[:3], np.ones(3)]), [x, y, 1.0])
 
 
 def along_first_edge(m: Mesh, c: Form, t: np.ndarray) -> np.ndarray:
@@ -106,6 +137,26 @@ def test_edges_follow_quintics_where_they_say_so(seed, size):
     e, s = model_edge(m, 0, 1)
     assert np.interp(s, t, errors) == pytest.approx(e, rel=1e-4, abs=1e-9)
     assert abs(e) == pytest.approx(np.abs(errors[peaks(errors)]).max(), rel=0.03)
+
+
+@settings(max_examples=300, deadline=None)
+@given(seeds, st.floats(0.1, 0.6))
+def test_halves_of_edges_follow_waves_where_they_say_so(seed, size):
+    rng = np.random.default_rng(seed)
+    m = one_triangle(rng)
+    m.x[:3] *= size
+    m.y[:3] *= size
+    laid(WAVES, m, 0.01 * rng.normal(size=3))
+    e, s = halved_edge(WAVES, m, 0, 1)
+    if math.isnan(e):
+        return
+    t = np.linspace(0, 1, 2001)
+    errors = error_at(WAVES, m, np.stack([1 - t, t, 0 * t], 1))
+    most = np.abs(errors - np.interp(t, [0, 1], errors[[0, -1]])).max()  # without the heights
+    if e != 0.0:
+        assert np.interp(s, t, errors) == pytest.approx(e, abs=0.02 * most)
+    if len(found := peaks(errors)):
+        assert abs(e) == pytest.approx(np.abs(errors[found]).max(), abs=0.03 * most)
 
 
 @settings(max_examples=200, deadline=None)
@@ -162,6 +213,44 @@ def test_insides_approach_the_true_peak_with_the_fourth_power_of_their_size(seed
     corners = np.stack([m.x[:3], m.y[:3], m.z[:3]], 1)
     weights = np.linalg.solve(np.vstack([corners[:, :2].T, np.ones(3)]), [px, py, 1.0])
     assert e == pytest.approx(value(c, px, py) - weights @ corners[:, 2], abs=size**4)
+
+
+@settings(max_examples=300, deadline=None)
+@given(seeds)
+def test_insides_across_a_change_of_sign_are_exact_for_cubics_where_they_say(seed):
+    rng = np.random.default_rng(seed)
+    m, c = one_triangle(rng), form(rng, 3)
+    lifted(m, c, 0.1 * rng.normal(size=3))
+    e, x, y = mixed_inner(m, 0, 1, 2, 0.0)
+    weights = weights_of(m, x, y)
+    assert weights.min() > -1e-9
+    if e != 0.0:
+        assert e == pytest.approx(value(c, x, y) - weights @ m.z[:3], rel=1e-7, abs=1e-9)
+        middle = np.full(3, 1 / 3)
+        at_middle = value(c, middle @ m.x[:3], middle @ m.y[:3]) - middle @ m.z[:3]
+        assert abs(e) >= abs(at_middle) * (1 - 1e-9)
+
+
+@settings(max_examples=200, deadline=None)
+@given(seeds)
+def test_one_step_leads_to_the_peak_of_a_quadratic(seed):
+    rng = np.random.default_rng(seed)
+    m = one_triangle(rng)
+    laid(BOWL, m, np.zeros(3))
+    hessian = np.array([[4.0, 1.0], [1.0, 2.0]])
+    corners = np.stack([m.x[:3], m.y[:3]], 1)
+    tilt = np.linalg.solve(corners[1:] - corners[0], m.z[1:3] - m.z[0])
+    peak = np.linalg.solve(hessian, tilt)
+    at_peak, start = weights_of(m, *peak), rng.dirichlet(np.ones(3))
+    if at_peak.min() > 0.0:
+        start = 0.7 * at_peak + 0.3 * start  # as near as a first guess leads
+    e, x, y = climbed(BOWL, m, 0, 1, 2, *(start @ corners))
+    if at_peak.min() > 1e-6:
+        assert [x, y] == pytest.approx(list(peak), abs=1e-6)
+        assert e == pytest.approx(error_at(BOWL, m, at_peak[None])[0], rel=1e-6)
+    elif at_peak.min() < -1e-6:
+        assert [x, y] == pytest.approx(list(start @ corners))
+        assert e == pytest.approx(error_at(BOWL, m, start[None])[0], rel=1e-9, abs=1e-12)
 
 
 def test_smooth_edges_are_so_whatever_their_size_and_sign():

@@ -33,7 +33,15 @@ from equimesh.optimise.mesh import (
     VERTICES,
     Mesh,
 )
-from equimesh.optimise.model import model_edge, model_inner, smooth_edge, smooth_inside
+from equimesh.optimise.model import (
+    climbed,
+    halved_edge,
+    mixed_inner,
+    model_edge,
+    model_inner,
+    smooth_edge,
+    smooth_inside,
+)
 from equimesh.optimise.topology import note_triangle
 
 __all__ = [
@@ -52,6 +60,7 @@ __all__ = [
 
 ROOM = 0.98  # how far vertices may leave the surface, in units of the tolerance, where they may
 _RANGE = 2048  # triangles that a thread evaluates at a time
+_SMALL = 0.5  # units of the tolerance: whether an error is less than this matters to nobody
 _CEILING = 1e3  # beyond it, more is not worse: keeps sums finite
 
 
@@ -117,9 +126,10 @@ def share_inside(m, a, b, c):
 @compiled
 def edge_of(F, m, tol, a, b):
     """(signed error / tol, position) of the segment from vertex a to vertex b."""
-    if m.count[MODEL] == 1 and smooth_edge(m, a, b):
-        e, s = model_edge(m, a, b)
-    else:
+    e = s = math.nan
+    if m.count[MODEL] == 1:
+        e, s = model_edge(m, a, b) if smooth_edge(m, a, b) else halved_edge(F, m, a, b)
+    if math.isnan(e):
         e, s = edge_error(F, m.x[a], m.y[a], m.z[a], m.x[b], m.y[b], m.z[b], 1e3 * tol)
     return e * share_along(m, a, b) / tol, s
 
@@ -127,12 +137,16 @@ def edge_of(F, m, tol, a, b):
 @compiled
 def _inner_error(F, m, tol, a, b, c):
     """(signed error / tol, x, y) inside the triangle a, b, c."""
-    if m.count[MODEL] == 1 and smooth_inside(m, a, b, c):
-        e, x, y = model_inner(m, a, b, c)
-    else:
+    if m.count[MODEL] == 0:
         e, x, y = inner_error(
             F, m.x[a], m.y[a], m.z[a], m.x[b], m.y[b], m.z[b], m.x[c], m.y[c], m.z[c], 1e3 * tol
         )
+    elif smooth_inside(m, a, b, c):
+        e, x, y = model_inner(m, a, b, c)
+    else:
+        e, x, y = mixed_inner(m, a, b, c, _SMALL * tol)
+        if abs(e) > _SMALL * tol:
+            e, x, y = climbed(F, m, a, b, c, x, y)
     return e * share_inside(m, a, b, c) / tol, x, y
 
 

@@ -2,8 +2,8 @@
 
 Between two vertices that makes the quintic that Hermite's formula asks for, inside a triangle the
 mean of the corners' Taylor polynomials that is exact for cubics. Both cost a tenth of the true
-errors. Good for finding where vertices should be and how many, while the true errors have the last
-word.
+errors. Where the surface changes much between vertices it is asked once more, in between. Good for
+finding where vertices should be and how many, while the true errors have the last word.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ from __future__ import annotations
 import math
 
 from equimesh.fields.compiled import compiled, inlined
+from equimesh.fields.patch_kernels import derivatives2
 
 __all__ = [
-    "edge_gradient", "inner_gradient", "model_edge", "model_inner", "smooth_edge",
-    "smooth_inside",
+    "climbed", "edge_gradient", "halved_edge", "inner_gradient", "mixed_inner", "model_edge",
+    "model_inner", "smooth_edge", "smooth_inside",
 ]  # fmt: skip
 
 # Bounds beyond which the true errors are asked: of the quintic's part in slopes at an edge's ends,
@@ -26,16 +27,20 @@ _OUTSIDE = -0.3  # barycentric coordinate beyond which a first guess comes back 
 
 @compiled
 def smooth_edge(m, a, b):
-    """Whether Hermite's formula is good between two vertices: whether the quintic is nearly a
-    cubic, in its even and in its odd part."""
+    """Whether Hermite's formula is good between two vertices."""
     dx, dy = m.x[b] - m.x[a], m.y[b] - m.y[a]
     ga, ka = _along(m, a, dx, dy)
     gb, kb = _along(m, b, dx, dy)
-    rise = (m.z[b] - m.w[b]) - (m.z[a] - m.w[a])
+    return _smooth(ga, ka, gb, kb, (m.z[b] - m.w[b]) - (m.z[a] - m.w[a]))
+
+
+@inlined
+def _smooth(ga, ka, gb, kb, rise):
+    """Whether the quintic is nearly a cubic, in its even and in its odd part."""
     first, last = ga - rise, gb - rise
     size = abs(first) + abs(last)
-    even = abs(ka + kb + 2.0 * (first - last))
-    return even < _EVEN * size and abs(kb - ka - 6.0 * (first + last)) < _ODD * size
+    even, odd = abs(ka + kb + 2.0 * (first - last)), abs(kb - ka - 6.0 * (first + last))
+    return even < _EVEN * size and odd < _ODD * size
 
 
 @compiled
@@ -78,7 +83,40 @@ def model_edge(m, a, b):
     ga, ka = _along(m, a, dx, dy)
     gb, kb = _along(m, b, dx, dy)
     d = m.w[b] - m.w[a]
-    rise = m.z[b] - m.z[a] - d
+    return _peak(ga, ka, gb, kb, m.z[b] - m.z[a] - d, m.w[a], d)
+
+
+@compiled
+def halved_edge(F, m, a, b):
+    """The same with what the surface is in the middle, for each half; NaN where not even a half is
+    smooth."""
+    dx, dy = m.x[b] - m.x[a], m.y[b] - m.y[a]
+    ga, ka = _along(m, a, dx, dy)
+    gb, kb = _along(m, b, dx, dy)
+    z, gx, gy, hxx, hxy, hyy = derivatives2(
+        F.frame, F.child, F.coef, m.x[a] + 0.5 * dx, m.y[a] + 0.5 * dy
+    )
+    g, k = 0.5 * (gx * dx + gy * dy), 0.25 * (hxx * dx * dx + 2.0 * hxy * dx * dy + hyy * dy * dy)
+    ga, ka, gb, kb = 0.5 * ga, 0.25 * ka, 0.5 * gb, 0.25 * kb
+    rise, fall = z - (m.z[a] - m.w[a]), (m.z[b] - m.w[b]) - z
+    if not (_smooth(ga, ka, g, k, rise) and _smooth(g, k, gb, kb, fall)):
+        return math.nan, 0.5
+    w = 0.5 * (m.z[a] + m.z[b]) - z
+    best, where = (-w if abs(w) > max(abs(m.w[a]), abs(m.w[b])) else 0.0), 0.5
+    e, s = _peak(ga, ka, g, k, rise, m.w[a], w - m.w[a])
+    if abs(e) > abs(best):
+        best, where = e, 0.5 * s
+    e, s = _peak(g, k, gb, kb, fall, w, m.w[b] - w)
+    if abs(e) > abs(best):
+        best, where = e, 0.5 + 0.5 * s
+    return best, where
+
+
+@compiled
+def _peak(ga, ka, gb, kb, rise, above, d):
+    """(signed largest error, position) between the ends of a chord that are ``above`` and
+    ``above + d`` over a quintic with these slopes and second derivatives at its ends, which goes up
+    by ``rise``."""
     # The error is c1 s + ... + c5 s^5, 0 at both ends, less their heights above the surface.
     c1, c2 = ga - rise, 0.5 * ka
     r0, r1, r2 = -c1 - c2, gb - rise - c1 - ka, kb - ka
@@ -103,7 +141,7 @@ def model_edge(m, a, b):
             t = s - slope / change
             if abs(t - s) < 0.2 and 0.0 < t < 1.0:
                 s = t
-            e = s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5)))) - m.w[a] - d * s
+            e = s * (c1 + s * (c2 + s * (c3 + s * (c4 + s * c5)))) - above - d * s
             if abs(e) > abs(best):
                 best, where = e, s
     return best, where
@@ -183,6 +221,77 @@ def model_inner(m, a, b, c):
                 e = u * _above(m, a, x, y) + v * _above(m, b, x, y) + w * _above(m, c, x, y)
                 return e, x, y
     return 0.0, third * (m.x[a] + m.x[b] + m.x[c]), third * (m.y[a] + m.y[b] + m.y[c])
+
+
+@compiled
+def mixed_inner(m, a, b, c, low):
+    """The same where second derivatives differ much: the best of four samples of the corners' mean,
+    then Newton's method with the mean of their second derivatives. Below ``low`` a sample will do.
+    """
+    third = 1.0 / 3.0
+    best, u, v = 0.0, third, third
+    if _determinant(m, a) > 0.0 or _determinant(m, b) > 0.0 or _determinant(m, c) > 0.0:
+        best = _mean(m, a, b, c, third, third)
+        for i in range(3):
+            s, t = (0.5 if i == 0 else 0.25), (0.5 if i == 1 else 0.25)
+            e = _mean(m, a, b, c, s, t)
+            if abs(e) > abs(best):
+                best, u, v = e, s, t
+    ax, ay, bx, by = m.x[a] - m.x[c], m.y[a] - m.y[c], m.x[b] - m.x[c], m.y[b] - m.y[c]
+    for _ in range(2):
+        w = 1.0 - u - v
+        hxx = u * m.jet[a, 2] + v * m.jet[b, 2] + w * m.jet[c, 2]
+        hxy = u * m.jet[a, 3] + v * m.jet[b, 3] + w * m.jet[c, 3]
+        hyy = u * m.jet[a, 4] + v * m.jet[b, 4] + w * m.jet[c, 4]
+        if abs(best) < low or hxx * hyy <= hxy * hxy:
+            break
+        gx, gy = inner_gradient(m, a, b, c, m.x[c] + u * ax + v * bx, m.y[c] + u * ay + v * by)
+        s = gx * ax + gy * ay - m.z[a] + m.z[c]
+        t = gx * bx + gy * by - m.z[b] + m.z[c]
+        p = hxx * ax * ax + 2.0 * hxy * ax * ay + hyy * ay * ay
+        q = hxx * bx * bx + 2.0 * hxy * bx * by + hyy * by * by
+        mixed = hxx * ax * bx + hxy * (ax * by + ay * bx) + hyy * ay * by
+        det = p * q - mixed * mixed
+        s, t = u - (q * s - mixed * t) / det, v - (p * t - mixed * s) / det
+        if not (s > 0.0 and t > 0.0 and s + t < 1.0):
+            break
+        e = _mean(m, a, b, c, s, t)
+        if abs(e) <= abs(best):
+            break
+        best, u, v = e, s, t
+    return best, m.x[c] + u * ax + v * bx, m.y[c] + u * ay + v * by
+
+
+@inlined
+def _mean(m, a, b, c, u, v):
+    """Error at barycentric coordinates u, v, 1 - u - v by the corners' mean."""
+    w = 1.0 - u - v
+    x = u * m.x[a] + v * m.x[b] + w * m.x[c]
+    y = u * m.y[a] + v * m.y[b] + w * m.y[c]
+    return u * _above(m, a, x, y) + v * _above(m, b, x, y) + w * _above(m, c, x, y)
+
+
+@compiled
+def climbed(F, m, a, b, c, x, y):
+    """(signed error, x, y) of the triangle where one step of Newton's method on the surface itself
+    leads from (x, y), or there if it leads to no peak inside."""
+    ux, uy, uz = m.x[b] - m.x[a], m.y[b] - m.y[a], m.z[b] - m.z[a]
+    vx, vy, vz = m.x[c] - m.x[a], m.y[c] - m.y[a], m.z[c] - m.z[a]
+    area = ux * vy - uy * vx
+    sx, sy = (uz * vy - vz * uy) / area, (ux * vz - vx * uz) / area
+    f, fx, fy, hxx, hxy, hyy = derivatives2(F.frame, F.child, F.coef, x, y)
+    dx, dy = x - m.x[a], y - m.y[a]
+    e = f - m.z[a] - sx * dx - sy * dy
+    det = hxx * hyy - hxy * hxy
+    if det > 0.0 and hxx * e < 0.0:
+        fx, fy = fx - sx, fy - sy
+        px, py = (hxy * fy - hyy * fx) / det, (hxy * fx - hxx * fy) / det
+        u = ((dx + px) * vy - (dy + py) * vx) / area
+        v = (ux * (dy + py) - uy * (dx + px)) / area
+        gain = 0.5 * (fx * px + fy * py)
+        if u > 0.0 and v > 0.0 and u + v < 1.0 and abs(gain) < abs(e):
+            return e + gain, x + px, y + py
+    return e, x, y
 
 
 @inlined
