@@ -39,7 +39,7 @@ AREA_SADDLE = math.sqrt(5.0)
 BOOST_PERIOD = 2.0 * math.log((1.0 + math.sqrt(5.0)) / 2.0)
 
 _CUBIC = 72.0 * math.sqrt(3.0)
-_FINE = 16  # parts of a side where a density with a kink is integrated
+_FINE = 24  # parts of a side where a density with a kink is integrated
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -235,5 +235,5 @@ def _integrated(
             parts,
         )  # fmt: skip
 
-    in_ranges(work, len(triangles))
+    in_ranges(work, len(triangles), 1)
     return float(parts.sum())
