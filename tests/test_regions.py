@@ -1,6 +1,7 @@
 """Regions get their own numbers of vertices: what is measured, and what it is good for."""
 
 import numpy as np
+import pytest
 
 import equimesh
 from equimesh.optimise import driver, regions
@@ -68,12 +69,11 @@ def test_rounds_leave_a_mesh_that_promises_fewer_triangles(monkeypatch):
     """With nothing multiplied any more, on a function that is convex here and a saddle there."""
     promises = []
 
-    def watched(field, mesh, *arguments):
-        tol = arguments[0]
+    def watched(field, mesh, tol, error, queue, visits, rounds, goal, report):
         driver.evaluate_all(field, mesh, tol)
         regions.press(field, mesh, tol, 2)
         promises.append(regions._expected(mesh))
-        even_out(field, mesh, *arguments)
+        even_out(field, mesh, tol, error, queue, visits, rounds, 0.0, report)
         driver.evaluate_all(field, mesh, tol)
         promises.append(regions._expected(mesh))
         assert (mesh.share == 1.0).all()
@@ -84,3 +84,24 @@ def test_rounds_leave_a_mesh_that_promises_fewer_triangles(monkeypatch):
     assert result.status.ok
     assert len(promises) == 2
     assert promises[1] < promises[0]
+
+
+@pytest.mark.parametrize("tol, rounds", [(5e-4, 0), (5e-3, 1)])
+def test_a_mesh_that_is_good_enough_gets_no_rounds_and_a_very_small_one_one(
+    monkeypatch, tol, rounds
+):
+    """Rounds end with the first mesh that promises at most the goal."""
+    goals, made = [], []
+
+    def watched(field, mesh, tol, error, queue, visits, asked, goal, report):
+        goals.append(goal)
+        even_out(field, mesh, tol, error, queue, visits, asked, 1e9, report)
+
+    even_out = driver.even_out
+    monkeypatch.setattr(driver, "even_out", watched)
+    monkeypatch.setattr(regions, "exchange_all", lambda *_: made.append(1))
+    result = equimesh.remesh("sin(6*x)*sin(5*y)", tol, (0, 0, 1, 1))
+    assert result.status.ok
+    assert len(made) == rounds * len(goals)
+    least = result.lower_bound
+    assert goals[0] == pytest.approx(least + 4.5 * least**0.5, rel=0.03)

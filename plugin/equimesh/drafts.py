@@ -111,7 +111,7 @@ class _Job:
             error = None if fits else _ERRORS[turn % len(_ERRORS)]
             laid = fits and turn == 0
             start = lattice if laid else self.lattice(tol, error, turn)
-            return _with(start, draft(*self.given(start), error, report))
+            return _with(start, draft(*self.given(start), error, report, self.expected(tol)))
 
         best: list[FirstMesh] = []
         with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:
@@ -121,7 +121,9 @@ class _Job:
                 for done, start in enumerate(pool.map(drafted, range(number)), 1):
                     best = sorted([*best, start], key=_size)[: how.kept]
                     report(done / number)
-            ends = pool.map(lambda start: _with(start, cycled(*self.given(start))), best)
+            ends = pool.map(
+                lambda start: _with(start, cycled(*self.given(start), self.expected(tol))), best
+            )
             return sorted(ends, key=_size)
 
     def nested(
@@ -130,7 +132,7 @@ class _Job:
         """The draft for ``tol`` from one for ``coarse`` that is refined ``levels`` times."""
         error = _ERRORS[0]
         start = self.lattice(coarse, error)
-        mesh = draft(*self.given(start), error, _between(report, 0.0, 0.4), finer=True)
+        mesh = draft(*self.given(start), error, _between(report, 0.0, 0.4), 0.0, finer=True)
         start = _with(start, mesh)
         for left in range(levels - 1, -1, -1):
             aim = aim_for(tol * 4.0**left, 4 * _size(start))

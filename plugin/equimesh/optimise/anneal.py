@@ -49,7 +49,7 @@ __all__ = [
 # For each power p: (p - 1) times the energy of a lattice triangle of error 1, in the mean of the
 # convex and the saddle lattice. Then an error of 1 has the least energy in a given area.
 _PRICE = {SOFT: 7.0, FIRM: 28.0, HARD: 58.0}
-VISITS = 60  # of vertices around an exchange while crystals form
+VISITS = 60  # of vertices around an exchange of a mesh that was annealed
 _OFF = 1.0  # triangles too few or too many around a vertex that make an exchange worth a trial
 # Energy above what would pay, in prices of a triangle, that removals and insertions which are kept
 # still have after a fifth of the visits, and by what it falls in the next fifths (a thousand trials
@@ -57,7 +57,7 @@ _OFF = 1.0  # triangles too few or too many around a vertex that make an exchang
 _HOPE_OUT, _HOPE_IN, _FALL = 9.0, 1.0, 1 / 3
 _STEPS = 8  # of all vertices between rounds of flips
 _ROUNDS = 2  # of exchanges
-_LASTING = 2e-3  # flips for each triangle below which steps of all vertices no longer matter
+_LASTING = 1e-2  # flips for each triangle below which steps of all vertices no longer matter
 _PATIENCE = 20  # rounds of steps and flips, at most
 _LAST = 0.97  # the least error to anneal for in the end
 # Where a surface is convex or concave one crystal fills it, with hardly a dislocation: its errors
@@ -165,10 +165,13 @@ def _exchange(F, m, tol, q, candidates, waste, visits, stamp, number, price):
     return kept
 
 
-def anneal(field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queue) -> None:
+def anneal(
+    field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queue, visits: int
+) -> None:
     """From a lattice to crystals with few dislocations, for ``error`` (units of ``tol``) at first.
 
     As the power rises the errors come closer together, and their mean may come closer to ``tol``.
+    ``visits``: how many moves of vertices around an exchange may make it pay.
     """
     mesh.count[MANNER] = SOFT
     mesh.share[:] = shares(mesh, error)
@@ -177,7 +180,7 @@ def anneal(field: KernelField, mesh: Mesh, tol: float, error: float, queue: Queu
     relax_everything(field, mesh, error * tol, queue, 10)
     mesh.count[MANNER] = SETTLE
     for manner, aim in ((SOFT, error), (FIRM, max(error, _LAST))):
-        exchange(field, mesh, tol, aim, queue, VISITS, manner)
+        exchange(field, mesh, tol, aim, queue, visits, manner)
 
 
 def exchange(

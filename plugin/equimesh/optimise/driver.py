@@ -66,7 +66,10 @@ _LEAST = 0.93
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
 _PRESSES = 4  # rounds of pressing on Hermite's errors, which are cheap
+_STRAINED = 16  # moves of each vertex that strain is evened out by
 _SPREADING = 8  # moves of each vertex that violations of a large mesh are spread by
+_SCATTER = 1_500  # triangles below which a round and a cycle pay in any case: numbers vary much
+_FORESEEN = 0.985  # that well are the triangles known that a mesh will have, and N*
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Hermite's formula.
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
@@ -77,18 +80,21 @@ class Effort:
     """How long to look for vertices that can go.
 
     ``lattices``: at most so many first meshes are tried where lattices fit, ``drafts`` where they
-    must be annealed, as many as ``triangles`` allow; in up to ``evenings`` rounds regions get their
-    own numbers of vertices. Hermite's errors guide them, with ``rounds`` of removal and at most
-    ``visits`` moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the same
-    for the best of them on the true errors, which are pressed in ``presses`` rounds. In between the
-    ``kept`` best drafts go through ``cycles`` of exchange and repair, as many as ``cycled``
-    triangles allow.
+    must be annealed, as many as ``triangles`` allow. While crystals form, an exchange may take
+    ``trials`` moves of vertices to pay; in up to ``evenings`` rounds regions get their own numbers
+    of vertices. Hermite's errors guide all that, with ``rounds`` of removal and at most ``visits``
+    moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the same for the best
+    of them on the true errors, which are pressed in ``presses`` rounds. In between the ``kept``
+    best drafts go through up to ``cycles`` of exchange and repair, as many as ``cycled`` triangles
+    allow. A mesh of ``1 + enough / sqrt(N*)`` times N* triangles gets no more of either, or one if
+    it is very small: what its border costs falls like that too.
     """
 
     lattices: int
     drafts: int
-    evenings: int
     triangles: int
+    trials: int
+    evenings: int
     rounds: int
     visits: int
     last_rounds: int
@@ -97,12 +103,17 @@ class Effort:
     kept: int
     cycles: int
     cycled: int
+    enough: float
+
+    def goal(self, least: float) -> float:
+        """With how many triangles a mesh is good enough where the lower bound N* is ``least``."""
+        return _FORESEEN * (least + self.enough * math.sqrt(least))
 
 
 EFFORTS = {
-    "fast": Effort(1, 1, 0, 0, 2, 60, 0, 0, 0, 1, 0, 0),
-    "balanced": Effort(2, 2, 6, 3_000, 0, 60, 0, 0, 2, 1, 2, 2_500),
-    "best": Effort(200, 24, 8, 60_000, 20, 300, 20, 600, 4, 8, 40, 300_000),
+    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, 1, 0, 0, 0.0),
+    "balanced": Effort(2, 2, 3_000, 30, 6, 0, 30, 0, 0, 1, 1, 4, 6_000, 4.5),
+    "best": Effort(200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, 8, 40, 300_000, 0.0),
 }
 
 
@@ -133,20 +144,27 @@ def draft(
     effort: str,
     annealed: float | None,
     report: Report,
+    least: float,
     finer: bool = False,
 ) -> Mesh:
     """A mesh with few triangles whose errors by Hermite's formula keep the tolerance.
 
     ``annealed``: error to anneal the mesh for at first; None leaves the lattice as it is laid.
-    ``finer``: the mesh is to be refined, so that single errors above the tolerance do not matter.
+    ``least``: N*. ``finer``: the mesh is to be refined, so that single errors above the tolerance
+    do not matter, but every region's density does.
     """
+    how = EFFORTS[effort]
     with modelled(field, mesh):
         if annealed is not None:
             queue = make_queue(len(mesh.x))
-            anneal(field, mesh, tol, annealed, queue)
+            anneal(field, mesh, tol, annealed, queue, how.trials)
             report(0.3)
-            rounds = EFFORTS[effort].evenings
-            even_out(field, mesh, tol, annealed, queue, rounds, lambda f: report(0.3 + 0.5 * f))
+            small = triangles_in(mesh) < _SCATTER
+            even_out(
+                field, mesh, tol, annealed, queue, how.trials if small else VISITS,
+                (int(small), how.evenings), 0.0 if finer else how.goal(least),
+                lambda f: report(0.3 + 0.5 * f),
+            )  # fmt: skip
             report(0.8)
         if finer:
             return mesh
@@ -155,6 +173,7 @@ def draft(
         flip_all(field, mesh, tol, 50)
         if annealed is not None:
             _even_strain(field, mesh, tol)
+            report(0.9)
         return _completed(field, mesh, tol, effort)
 
 
@@ -184,16 +203,19 @@ def finer_draft(
         return mesh
 
 
-def cycled(field: KernelField, mesh: Mesh, tol: float, effort: str) -> Mesh:
+def cycled(field: KernelField, mesh: Mesh, tol: float, effort: str, least: float) -> Mesh:
     """The best of a row of drafts, each made from the best so far by exchanging vertices.
 
     Exchanges for an error below ``tol`` put vertices where errors are large and take them where
     there is slack, over all the mesh at once; pressing and repair make it keep ``tol`` again. The
     error differs from cycle to cycle, so that a mesh that did not get better is tried anew.
+    ``least``: N*.
     """
     how = EFFORTS[effort]
     best, size, idle = mesh, triangles_in(mesh), 0
     for number in range(min(how.cycles, how.cycled // size)):
+        if size <= how.goal(least) and (number > 0 or size > _SCATTER):
+            break
         error = _LEAST + (1.0 - _LEAST) * math.fmod(_GOLDEN * (number + 1), 1.0)
         mesh = copied(best)
         with modelled(field, mesh):
@@ -231,7 +253,7 @@ def _even_strain(field: KernelField, mesh: Mesh, tol: float) -> None:
     """Press and relax where strain may spread: in a mesh that is no settled lattice."""
     press(field, mesh, tol, _PRESSES)
     mesh.count[MANNER] = SPREAD
-    relax_all(field, mesh, tol, make_queue(len(mesh.x)), 60)
+    relax_all(field, mesh, tol, make_queue(len(mesh.x)), _STRAINED)
     mesh.count[MANNER] = SETTLE
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.kernel import KernelField
-from equimesh.optimise.anneal import VISITS, exchange_all, press, shares
+from equimesh.optimise.anneal import exchange_all, press, shares
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.mesh import SOFT, Mesh, copied, restore
 from equimesh.optimise.relax import Queue
@@ -42,18 +42,23 @@ def even_out(
     tol: float,
     error: float,
     queue: Queue,
-    rounds: int,
+    visits: int,
+    rounds: tuple[int, int],
+    goal: float,
     report: Callable[[float], None],
 ) -> None:
-    """Up to ``rounds`` rounds of exchanges of an annealed mesh, each followed by a press; leaves
-    the best of the meshes in between.
+    """Rounds of exchanges of an annealed mesh, each followed by a press; leaves the best of the
+    meshes in between.
 
-    ``error``: what it was annealed for at first.
+    ``rounds``: the least and the most of them; between the two they end with a mesh that promises
+    at most ``goal`` triangles. ``error``: what it was annealed for at first. ``visits``: how many
+    moves of vertices around an exchange may make it pay.
     """
-    if rounds == 0:
+    first, last = rounds
+    if last == 0:
         return
     share, best, least, idle = shares(mesh, error), copied(mesh), math.inf, 0
-    for number in range(rounds + 1):
+    for number in range(last + 1):
         evaluate_all(field, mesh, tol)
         press(field, mesh, tol, _PRESSES)
         expected = _expected(mesh)
@@ -61,13 +66,13 @@ def even_out(
         if expected < least:
             restore(best, mesh)
             least = expected
-        if number == rounds or idle == _IDLE:
+        if number == last or idle == _IDLE or (number >= first and least <= goal):
             break
         mesh.share[:] = regional_shares(mesh, share)
-        exchange_all(field, mesh, error * tol, queue, VISITS, SOFT)
+        exchange_all(field, mesh, error * tol, queue, visits, SOFT)
         share = mesh.share.copy()
         mesh.share[:] = 1.0
-        report((number + 1) / rounds)
+        report((number + 1) / last)
     restore(mesh, best)
 
 
