@@ -262,7 +262,7 @@ def mixed_inner(m, a, b, c, low):
     return best, m.x[c] + u * ax + v * bx, m.y[c] + u * ay + v * by
 
 
-@inlined
+@compiled
 def _mean(m, a, b, c, u, v):
     """Error at barycentric coordinates u, v, 1 - u - v by the corners' mean."""
     w = 1.0 - u - v
