@@ -11,8 +11,8 @@ __all__ = ["compiled", "inlined"]
 
 # Numba counts references to every array that a function takes from a KernelField, which costs more
 # than a short walk over its cells. Kernels neither allocate nor keep arrays, so they do without
-# (``_nrt``); the caller holds the arrays. Division by zero gives inf or NaN. Nothing calls them from
-# C, and wrappers for that take the compiler some seconds.
+# (``_nrt``); the caller holds the arrays. Division by zero gives inf or NaN. Nothing calls them
+# from C, and wrappers for that take the compiler some seconds.
 _HOW: dict[str, Any] = {
     "cache": True,
     "nogil": True,
