@@ -19,7 +19,6 @@ from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.first_mesh import FirstMesh, aim_for, expected_triangles, first_mesh
 from equimesh.frame import Frame
 from equimesh.optimise.driver import (
-    EFFORTS,
     Report,
     cycled,
     draft,
@@ -28,6 +27,7 @@ from equimesh.optimise.driver import (
     seam_share,
     triangles_in,
 )
+from equimesh.optimise.effort import EFFORTS
 from equimesh.optimise.mesh import Mesh
 from equimesh.optimise.nested import Nested, nested_for
 from equimesh.refinement import refined

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.optimise.anneal import VISITS, anneal, exchange, press
+from equimesh.optimise.effort import EFFORTS
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.greedy import refine
 from equimesh.optimise.mesh import (
@@ -46,8 +46,6 @@ from equimesh.optimise.sweep import (
 )
 
 __all__ = [
-    "EFFORTS",
-    "Effort",
     "Report",
     "cycled",
     "draft",
@@ -69,52 +67,9 @@ _PRESSES = 4  # rounds of pressing on Hermite's errors, which are cheap
 _STRAINED = 16  # moves of each vertex that strain is evened out by
 _SPREADING = 8  # moves of each vertex that violations of a large mesh are spread by
 _SCATTER = 1_500  # triangles below which a round and a cycle pay in any case: numbers vary much
-_FORESEEN = 0.985  # that well are the triangles known that a mesh will have, and N*
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Hermite's formula.
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How long to look for vertices that can go.
-
-    ``lattices``: at most so many first meshes are tried where lattices fit, ``drafts`` where they
-    must be annealed, as many as ``triangles`` allow. While crystals form, an exchange may take
-    ``trials`` moves of vertices to pay; in up to ``evenings`` rounds regions get their own numbers
-    of vertices. Hermite's errors guide all that, with ``rounds`` of removal and at most ``visits``
-    moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the same for the best
-    of them on the true errors, which are pressed in ``presses`` rounds. In between the ``kept``
-    best drafts go through up to ``cycles`` of exchange and repair, as many as ``cycled`` triangles
-    allow. A mesh of ``1 + enough / sqrt(N*)`` times N* triangles gets no more of either, or one if
-    it is very small: what its border costs falls like that too.
-    """
-
-    lattices: int
-    drafts: int
-    triangles: int
-    trials: int
-    evenings: int
-    rounds: int
-    visits: int
-    last_rounds: int
-    last_visits: int
-    presses: int
-    kept: int
-    cycles: int
-    cycled: int
-    enough: float
-
-    def goal(self, least: float) -> float:
-        """With how many triangles a mesh is good enough where the lower bound N* is ``least``."""
-        return _FORESEEN * (least + self.enough * math.sqrt(least))
-
-
-EFFORTS = {
-    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, 1, 0, 0, 0.0),
-    "balanced": Effort(2, 2, 3_000, 30, 6, 0, 30, 0, 0, 1, 1, 4, 6_000, 4.5),
-    "best": Effort(200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, 8, 40, 300_000, 0.0),
-}
 
 
 @contextmanager
@@ -150,8 +105,8 @@ def draft(
     """A mesh with few triangles whose errors by Hermite's formula keep the tolerance.
 
     ``annealed``: error to anneal the mesh for at first; None leaves the lattice as it is laid.
-    ``least``: N*. ``finer``: the mesh is to be refined, so that single errors above the tolerance
-    do not matter, but every region's density does.
+    ``least``: N*; with 0 no number of triangles is good enough. ``finer``: the mesh is to be
+    refined, so that single errors above the tolerance do not matter.
     """
     how = EFFORTS[effort]
     with modelled(field, mesh):
@@ -162,7 +117,7 @@ def draft(
             small = triangles_in(mesh) < _SCATTER
             even_out(
                 field, mesh, tol, annealed, queue, how.trials if small else VISITS,
-                (int(small), how.evenings), 0.0 if finer else how.goal(least),
+                (int(small), how.evenings), how.goal(least),
                 lambda f: report(0.3 + 0.5 * f),
             )  # fmt: skip
             report(0.8)
