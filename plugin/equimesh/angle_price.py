@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from equimesh.fields.compiled import allocating
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.patch_kernels import derivatives2
 
@@ -26,7 +26,7 @@ _ANGLES, _TURNS = 40, 90  # steps of two angles and of the direction: areas to a
 _STEP, _RATIOS = 0.35, 32
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _largest_area(ratio: float, floor: float, angles: int, turns: int) -> float:
     """Area of the largest triangle of error 1 for the Hessian diag(1, ratio) in units of 8 tol."""
     largest = 0.0
@@ -70,7 +70,7 @@ def largest_areas(floor: float) -> NDArray[np.float64]:
     return np.minimum(found / found[:, :1], 1.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _both(
     frame: NDArray[np.float64],
     child: NDArray[np.int32],

@@ -10,10 +10,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from equimesh.domain import Sides
+from equimesh.fields.compiled import allocating
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.patch_kernels import derivatives2
 from equimesh.metric import frame_at
@@ -38,7 +38,7 @@ class BoundaryNodes:
     following: NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _density(f, child, coef, ax, ay, dx, dy, s, eight_tol, floor):
     """Edges per unit of s at a + s d that the tolerance asks for."""
     x, y = ax + s * dx, ay + s * dy
@@ -53,7 +53,7 @@ def _density(f, child, coef, ax, ay, dx, dy, s, eight_tol, floor):
     return max(bend, _NULL_SHARE * length)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _side_nodes(f, child, coef, ax, ay, bx, by, eight_tol, floor, spacing, out):
     """Parameters s of the inner nodes of one side, into ``out``; returns how many."""
     dx, dy = bx - ax, by - ay

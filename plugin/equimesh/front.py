@@ -16,8 +16,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from equimesh.fields.compiled import allocating
 from equimesh.fields.patch_kernels import derivatives3
 from equimesh.metric import BOOST_PERIOD, frame_at
 from equimesh.pointtree import insert
@@ -29,7 +29,7 @@ _EDGE_CONVEX = 0.5 * math.sqrt(3.0)  # circumradius 1/2: error 1
 _THERE = 0.3  # spacings: a vertex so near the end of a straight step is that of the curved one too
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def inside(sides, strip_start, strip_items, strip_box, x, y):
     """Whether (x, y) is in the domain: crossings of a ray with the sides (s, 4) of its strip."""
     count = strip_start.shape[0] - 1
@@ -45,7 +45,7 @@ def inside(sides, strip_start, strip_items, strip_box, x, y):
     return odd
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _spin(f, child, coef, x, y, wx, wy):
     """-1/2 H^-1 D^3 f(w) as four numbers, or a failure where H is nearly singular."""
     hxx, hxy, hyy, t111, t112, t122, t222 = derivatives3(f, child, coef, x, y)
@@ -64,7 +64,7 @@ def _spin(f, child, coef, x, y, wx, wy):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _geodesic(f, child, coef, x, y, w, l1, l2, steps, out):
     """Runge-Kutta of order 4 for (x, W) along the lattice step (l1, l2); out = x, y, W."""
     a, b, c, d = w[0], w[1], w[2], w[3]
@@ -96,7 +96,7 @@ def _geodesic(f, child, coef, x, y, w, l1, l2, steps, out):
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _gauge(e1x, e1y, e2x, e2y, eps, w, out):
     """The frame at a point (eigenframe e1, e2) whose gauge is nearest to the carried frame w.
 
@@ -127,7 +127,7 @@ def _gauge(e1x, e1y, e2x, e2y, eps, w, out):
     out[2], out[3] = e1y * k11 + e2y * k21, e1y * k12 + e2y * k22
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def nearest(tree, link, box, px, py, x, y, w, radius, first):
     """Smallest metric distance, at most ``radius``, from (x, y) to a point from ``first`` on; and
     who."""
@@ -168,7 +168,7 @@ def nearest(tree, link, box, px, py, x, y, w, radius, first):
     return math.sqrt(best), who
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _near_boundary(tree, link, box, px, py, count, following, x, y, w, gap):
     """Whether a boundary segment (node to ``following`` node) passes within ``gap`` of (x, y)."""
     det = w[0] * w[3] - w[1] * w[2]
@@ -215,7 +215,7 @@ def _near_boundary(tree, link, box, px, py, count, following, x, y, w, gap):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def grow(
     f, child, coef, eight_tol, floor,
     sides, strip_start, strip_items, strip_box,

@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from equimesh.fields.compiled import allocating
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.patch_kernels import derivatives2, derivatives3
 from equimesh.fields.workers import in_ranges
@@ -42,7 +42,7 @@ _CUBIC = 72.0 * math.sqrt(3.0)
 _FINE = 24  # parts of a side where a density with a kink is integrated
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def cubic_floor(l1, l2, vx, vy, t111, t112, t122, t222, eight_tol):
     """Eigenvalues of H that bound the error of the cubic part along each eigenvector too."""
     c1 = abs(t111 * vx**3 + 3 * t112 * vx * vx * vy + 3 * t122 * vx * vy * vy + t222 * vy**3)
@@ -53,7 +53,7 @@ def cubic_floor(l1, l2, vx, vy, t111, t112, t122, t222, eight_tol):
     return k1, k2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def frame_at(frame, child, coef, x, y, eight_tol, floor):
     """The eigenframe of the metric at a point.
 
@@ -94,7 +94,7 @@ def frame_at(frame, child, coef, x, y, eight_tol, floor):
     return s1 * vx, s1 * vy, -s2 * vy, s2 * vx, eps, pure
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _density(hxx, hxy, hyy, tol):
     """Optimal triangles per unit area, by the sign of det H."""
     det = 0.25 * (hxx * hyy - hxy * hxy)
@@ -118,7 +118,7 @@ def lower_bound_of(hessian: NDArray[np.float64], areas: NDArray[np.float64], tol
     return float((np.sqrt(np.abs(det)) / constant * areas).sum() / tol)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _needed(frame, child, coef, x, y, tol, floor):
     """Lattice triangles per unit area at a point, of H alone (``floor`` = 0) or of the limited
     metric, and whether det H > 0 there."""
@@ -131,7 +131,7 @@ def _needed(frame, child, coef, x, y, tol, floor):
     return _density(hxx, hxy, hyy, tol), hxx * hyy > hxy * hxy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _crossed(frame, child, coef, ax, ay, ux, uy, vx, vy):
     """Whether det H changes its sign between corners, middles of edges and the centre."""
     signs = 0
@@ -146,7 +146,7 @@ def _crossed(frame, child, coef, ax, ay, ux, uy, vx, vy):
     return signs == 3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor):
     """Densities at three points inside each of n^2 parts of a triangle, and at how many det H > 0.
 
@@ -172,7 +172,7 @@ def _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor):
     return total, positive
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _integrate(frame, child, coef, points, triangles, depth, tol, floor, first, last, out):
     """Lattice triangles over each of the triangles ``first`` ... ``last`` into ``out``.
 

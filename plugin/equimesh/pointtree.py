@@ -8,7 +8,8 @@ of the node's linked list; ``link`` (points,) int32 holds the next point of the 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from equimesh.fields.compiled import allocating
 
 __all__ = ["insert", "make_tree"]
 
@@ -23,7 +24,7 @@ def make_tree(capacity: int):
     return tree, np.full(capacity, -1, np.int32), np.ones(1, np.int64)
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def insert(tree, link, used, box, px, py, point):
     """Insert ``point`` at (px[point], py[point]) in the square ``box`` = (x0, y0, side)."""
     x, y = px[point], py[point]

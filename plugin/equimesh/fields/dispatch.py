@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from equimesh.fields import patch_kernels, raster_kernels, surface_kernels
-from equimesh.fields.compiled import compiled
+from equimesh.fields.compiled import outlined
 from equimesh.fields.kernel import PATCHES, RASTER
 
 __all__ = ["edge_error", "gradient", "inner_error", "value"]
 
 
-@compiled
+@outlined
 def value(F, x, y):
     """Height at (x, y); NaN outside the field."""
     if F.kind == PATCHES:
@@ -19,7 +19,7 @@ def value(F, x, y):
     return surface_kernels.value(F, x, y)
 
 
-@compiled
+@outlined
 def gradient(F, x, y):
     """(f_x, f_y) at (x, y)."""
     if F.kind == PATCHES:
@@ -29,7 +29,7 @@ def gradient(F, x, y):
     return surface_kernels.gradient(F, x, y)
 
 
-@compiled
+@outlined
 def edge_error(F, ax, ay, az, bx, by, bz, stop):
     """Signed largest error on an edge and its parameter s; any error above ``stop`` will do."""
     if F.kind == PATCHES:
@@ -39,7 +39,7 @@ def edge_error(F, ax, ay, az, bx, by, bz, stop):
     return surface_kernels.edge_error(F, ax, ay, az, bx, by, bz, stop)
 
 
-@compiled
+@outlined
 def inner_error(F, ax, ay, az, bx, by, bz, cx, cy, cz, stop):
     """Signed largest error strictly inside a triangle and where; any above ``stop`` will do."""
     if F.kind == PATCHES:

@@ -7,7 +7,7 @@ largest sample (secs. 2 and 3.1 of the paper tell where it lies for a quadratic)
 
 from __future__ import annotations
 
-from equimesh.fields.compiled import compiled, inlined
+from equimesh.fields.compiled import compiled, inlined, outlined
 
 __all__ = [
     "derivatives2",
@@ -62,7 +62,7 @@ def value(F, x, y):
     return _value(F.frame, F.child, F.coef, x, y)
 
 
-@compiled
+@outlined
 def derivatives2(frame, child, coef, x, y):
     """f, f_x, f_y, f_xx, f_xy, f_yy."""
     leaf, s, t, half = locate(frame, child, x, y)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import shapely
-from numba import njit
 from numpy.typing import NDArray
+
+from equimesh.fields.compiled import allocating
 
 __all__ = ["cell_outline", "simplified_outline"]
 
@@ -104,7 +105,7 @@ def _shortened(corners: IntArray, missing: Flags) -> IntArray:
     return np.asarray(kept[~straight] if np.count_nonzero(~straight) >= 3 else corners)
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def _long_sides(chain: IntArray, missing: Flags) -> IntArray:
     """Places in a closed chain of neighbouring samples (n + 1, 2), the last its first, to keep.
 

@@ -13,8 +13,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from equimesh.fields.compiled import allocating
 
 __all__ = ["sampled_errors"]
 
@@ -109,7 +110,7 @@ def _sample_all(f: Callable[[Array, Array], Array], corners: Array) -> tuple[Arr
     return errors, bounds
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _samples(corners: Array, weights: Array) -> tuple[Array, Array, Array]:
     """x, y and the linear interpolant's height, each (m, k), at the weights (k, 2) of b and c."""
     shape = (corners.shape[0], weights.shape[0])
@@ -124,7 +125,7 @@ def _samples(corners: Array, weights: Array) -> tuple[Array, Array, Array]:
     return x, y, z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _edge_peak(a: float, m: float, b: float) -> float:
     """Largest |q| of the parabola through a, m (middle), b on its segment."""
     top = max(abs(a), abs(m), abs(b))
@@ -136,7 +137,7 @@ def _edge_peak(a: float, m: float, b: float) -> float:
     return float(top)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _triangle_peak(a: float, b: float, c: float, ab: float, bc: float, ca: float) -> float:
     """Largest |q| of the quadratic through three corners and three edge midpoints."""
     top = max(_edge_peak(a, ab, b), _edge_peak(b, bc, c), _edge_peak(c, ca, a))
@@ -153,7 +154,7 @@ def _triangle_peak(a: float, b: float, c: float, ab: float, bc: float, ca: float
     return float(top)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _model(samples: Array, index: IntArray, remainder: float, errors: Array, bounds: Array) -> None:
     n = index.shape[0] - 1
     for t in range(samples.shape[0]):

@@ -6,11 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 
 from equimesh.fields.base import Array, IntArray
+from equimesh.fields.compiled import allocating
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.surface_kernels import locate
 
@@ -69,13 +69,13 @@ def _solve(normal: Array, right: Array) -> Array:
     return np.asarray(np.einsum("nij,nj->ni", inverse, right))
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def _set_terms(term: Array, u: float, v: float) -> None:
     term[0], term[1], term[2] = 1.0, u, v
     term[3], term[4], term[5] = 0.5 * u * u, u * v, 0.5 * v * v
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def _normal_equations(
     points: Array, centre: IntArray, start: Int32Array, neighbour: Int32Array
 ) -> tuple[Array, Array, Array]:
@@ -101,7 +101,7 @@ def _normal_equations(
     return normal, right, scale
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def _misfit(
     points: Array,
     centre: IntArray,
@@ -123,7 +123,7 @@ def _misfit(
     return math.sqrt(total / len(neighbour))
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def interpolate(F: KernelField, data: Array, points: Array, out: Array) -> None:
     """``out`` (k, c): data (n, c) of the vertices at points (k, 2), linear in every triangle.
 

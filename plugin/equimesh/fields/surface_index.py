@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from equimesh.fields.base import Array, IntArray
+from equimesh.fields.compiled import allocating
 from equimesh.fields.kernel import SURFACE, KernelField
 from equimesh.fields.surface_topology import opposites
 
@@ -71,7 +71,7 @@ def _starts(cell: IntArray, cells: int) -> Int32Array:
     return np.concatenate([[0], np.cumsum(np.bincount(cell, minlength=cells))]).astype(np.int32)
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def _list_triangles(
     points: Array, triangles: Int32Array, frame: Array, at: Int32Array, items: Int32Array
 ) -> None:

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from equimesh.errors import InputError
 from equimesh.fields.base import Array, IntArray
+from equimesh.fields.compiled import allocating
 from equimesh.fields.surface_repair import Graph, place
 from equimesh.fields.surface_topology import opposites, trace_rings
 
@@ -283,7 +283,7 @@ def _simplify(chain: Array, fixed: Flags, tol: float) -> IntArray:
     return np.sort((np.flatnonzero(keep[:-1]) + start) % len(chain))
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def _keep_within(chain: Array, tol: float, keep: Flags) -> None:
     """Douglas-Peucker: flag vertices until all of the chain (k, 3) lies within ``tol`` of them.
 
@@ -309,7 +309,7 @@ def _keep_within(chain: Array, tol: float, keep: Flags) -> None:
             spans.append((at, j))
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def _squared_distance(p: Array, a: Array, b: Array) -> float:
     """Of p to the segment a-b, in space."""
     along, length = 0.0, 0.0

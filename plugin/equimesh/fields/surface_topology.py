@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from equimesh.fields.base import IntArray
+from equimesh.fields.compiled import allocating
 
 __all__ = ["Rings", "consistent_winding", "crowded_edges", "opposites", "trace_rings"]
 
@@ -56,7 +56,7 @@ def opposites(triangles: IntArray) -> IntArray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def consistent_winding(triangles: IntArray, opposite: IntArray) -> tuple[IntArray, Flags, int]:
     """Wind neighbours alike: (m,) edge-connected component, (m,) whether to turn, and a triangle.
 
@@ -107,7 +107,7 @@ class Rings(NamedTuple):
     triangle: IntArray  # (rings,) a triangle beside each
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def _trace(triangles: IntArray, opposite: IntArray) -> tuple[IntArray, list[int], list[int]]:
     done = opposite >= 0
     vertices = np.full(len(opposite) - np.count_nonzero(done), -1)

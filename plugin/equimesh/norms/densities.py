@@ -25,10 +25,10 @@ from collections.abc import Callable
 
 import numpy as np
 import shapely
-from numba import njit
 from numpy.typing import NDArray
 
 from equimesh.fields.base import Field
+from equimesh.fields.compiled import allocating
 from equimesh.fields.patch_kernels import derivatives2
 from equimesh.riemann.quadrature import integral
 
@@ -62,7 +62,7 @@ def gradient_area(ratio: Array) -> Array:
     return np.asarray(4.0 * np.sqrt(share) / (1.0 + c * share + (r * share) ** 2))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _hessians(frame: Array, child: NDArray[np.int32], coef: Array, local: Array) -> Array:
     """(n, 2, 2) second derivatives at local points (n, 2)."""
     out = np.empty((local.shape[0], 2, 2))

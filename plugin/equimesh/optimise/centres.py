@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from equimesh.fields.compiled import compiled
+from equimesh.fields.compiled import compiled, outlined
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import EPOCH, FIXED
 
@@ -121,7 +121,7 @@ def _crowded_by(F, m, t, x, y):
     return -1, -1
 
 
-@compiled
+@outlined
 def split_for_angle(F, m, tol, t):
     """A vertex at the centre of t's circumcircle, after Ruppert; returns it, or -1.
 

@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from equimesh.fields.compiled import compiled, inlined
+from equimesh.fields.compiled import compiled, inlined, outlined
 from equimesh.fields.dispatch import edge_error, inner_error, value
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.patch_kernels import derivatives2
@@ -95,7 +95,7 @@ def set_jet(F, m, v, x, y):
     return z
 
 
-@compiled
+@outlined
 def lift(F, m, v, x, y):
     """Put vertex v at (x, y), its height above the surface kept.
 
@@ -123,7 +123,7 @@ def share_inside(m, a, b, c):
     return (m.share[a] + m.share[b] + m.share[c]) / 3.0
 
 
-@compiled
+@outlined
 def edge_of(F, m, tol, a, b):
     """(signed error / tol, position) of the segment from vertex a to vertex b."""
     e = s = math.nan
@@ -150,7 +150,7 @@ def _inner_error(F, m, tol, a, b, c):
     return e * share_inside(m, a, b, c) / tol, x, y
 
 
-@compiled
+@outlined
 def inner_of(F, m, tol, a, b, c):
     """(signed error / tol, x, y) inside the triangle a, b, c, or its angles' price if larger."""
     e, x, y = _inner_error(F, m, tol, a, b, c)

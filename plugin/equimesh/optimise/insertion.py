@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from equimesh.fields.compiled import compiled
+from equimesh.fields.compiled import compiled, outlined
 from equimesh.fields.dispatch import value
 from equimesh.optimise.energy import edge_of, lift, set_edge, set_inner
 from equimesh.optimise.mesh import FIXED, FREE, SLIDES
@@ -26,7 +26,7 @@ __all__ = ["split_edge", "split_inside"]
 _BESIDE = 4e-7
 
 
-@compiled
+@outlined
 def split_inside(F, m, tol, t, x, y):
     """Put a vertex at (x, y) inside t; returns it, or -1 where that is impossible."""
     a, b, c = m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]
@@ -94,7 +94,7 @@ def _onto_border(m, t, k, s):
     return t, k, s
 
 
-@compiled
+@outlined
 def split_edge(F, m, tol, t, k, s):
     """Put a vertex at the share s of edge k of t; returns it, or -1 where that is impossible."""
     if m.tn[t, k] >= 0 and m.wall[t, k] == 0:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from equimesh.fields.compiled import compiled, inlined
+from equimesh.fields.compiled import compiled, inlined, outlined
 from equimesh.fields.patch_kernels import derivatives2
 
 __all__ = [
@@ -86,7 +86,7 @@ def model_edge(m, a, b):
     return _peak(ga, ka, gb, kb, m.z[b] - m.z[a] - d, m.w[a], d)
 
 
-@compiled
+@outlined
 def halved_edge(F, m, a, b):
     """The same with what the surface is in the middle, for each half; NaN where not even a half is
     smooth."""
@@ -192,7 +192,7 @@ def _bend(m, a, b):
     return 0.5 * (hxx * dx * dx + hyy * dy * dy) + hxy * dx * dy
 
 
-@compiled
+@outlined
 def model_inner(m, a, b, c):
     """(signed largest error, x, y) inside the triangle.
 
@@ -223,7 +223,7 @@ def model_inner(m, a, b, c):
     return 0.0, third * (m.x[a] + m.x[b] + m.x[c]), third * (m.y[a] + m.y[b] + m.y[c])
 
 
-@compiled
+@outlined
 def mixed_inner(m, a, b, c, low):
     """The same where second derivatives differ much: the best of four samples of the corners' mean,
     then Newton's method with the mean of their second derivatives. Below ``low`` a sample will do.
@@ -271,7 +271,7 @@ def _mean(m, a, b, c, u, v):
     return u * _above(m, a, x, y) + v * _above(m, b, x, y) + w * _above(m, c, x, y)
 
 
-@compiled
+@outlined
 def climbed(F, m, a, b, c, x, y):
     """(signed error, x, y) of the triangle where one step of Newton's method on the surface itself
     leads from (x, y), or there if it leads to no peak inside."""

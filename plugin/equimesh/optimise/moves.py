@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from equimesh.fields.compiled import compiled
+from equimesh.fields.compiled import compiled, outlined
 from equimesh.fields.dispatch import gradient
 from equimesh.fields.kernel import PATCHES
 from equimesh.optimise.angles import angle_slope, by_angle
@@ -30,7 +30,7 @@ from equimesh.optimise.topology import ample, flip, note_triangle, note_vertex, 
 __all__ = ["move_vertex", "star_energy", "try_flip"]
 
 
-@compiled
+@outlined
 def try_flip(F, m, tol, t, k):
     """Flip edge k of t if that lowers the penalty of the edge and the two insides."""
     u = m.tn[t, k]
@@ -82,7 +82,7 @@ def star_energy(m, n, closed):
     return total
 
 
-@compiled
+@outlined
 def _trial(F, m, tol, v, n, closed, goal):
     """Penalty of the star at v's present coordinates, up to ``goal``; errors go to ``m.work``."""
     vx, vy = m.x[v], m.y[v]
@@ -120,7 +120,7 @@ def store_star(m, v, n, closed):
         m.ee[t, (k + 2) % 3], m.ep[t, (k + 2) % 3] = m.work[0, j], 1.0 - m.work[1, j]
 
 
-@compiled
+@outlined
 def _residuals(F, m, tol, v, n, closed):
     """Errors around v and their slopes, into ``m.work`` rows 5 to 8; returns how many.
 
@@ -222,7 +222,7 @@ def _gauss_newton(m, count):
     return dx, dy, dz
 
 
-@compiled
+@outlined
 def move_vertex(F, m, tol, v):
     """Move v where that lowers the penalty of its star; returns the gain (0: it stays).
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from equimesh.fields.compiled import compiled
+from equimesh.fields.compiled import compiled, outlined
 from equimesh.fields.reference import by_reference
 from equimesh.optimise.energy import penalty
 from equimesh.optimise.mesh import GONE, VERTICES
@@ -125,7 +125,7 @@ def _flip_around(F, m, tol, v):
     return any_flip
 
 
-@compiled
+@outlined
 def relax(F, m, tol, q, budget, per_vertex):
     """Work the queue off; at most ``budget`` visits and ``per_vertex`` for each. Returns visits."""
     done = 0

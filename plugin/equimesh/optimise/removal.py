@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from equimesh.fields.compiled import compiled
+from equimesh.fields.compiled import compiled, outlined
 from equimesh.optimise.energy import edge_of, inner_of, penalty, set_inner, worst_of
 from equimesh.optimise.mesh import EPOCH, FREE, LOG_T, SLIDES
 from equimesh.optimise.topology import (
@@ -26,7 +26,7 @@ __all__ = ["remove_if_clean", "remove_vertex", "touched_excess"]
 _MOST = 20  # corners of a hole
 
 
-@compiled
+@outlined
 def remove_vertex(F, m, tol, v, goal):
     """Remove v and fill the hole with the triangulation of least penalty (dynamic programming).
 

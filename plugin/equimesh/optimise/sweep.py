@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from equimesh.fields.compiled import compiled, inlined
+from equimesh.fields.compiled import allocating, compiled, inlined, outlined
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.fields.patch_kernels import derivatives2
 from equimesh.optimise.angles import by_angle
@@ -137,7 +136,7 @@ def relax_everything(F: KernelField, m: Mesh, tol: float, q: Queue, per_vertex: 
     relax(F, m, tol, q, 1 << 60, per_vertex)
 
 
-@compiled
+@outlined
 def split_at_worst(F, m, tol, t):
     """Split the place of t's largest error; returns the new vertex or -1."""
     k, e = -1, abs(m.ie[t])
@@ -233,7 +232,7 @@ def triangle_waste(F, m, tol, t):
     return 1.0 - math.sqrt(-det) * area / _AREA_SADDLE
 
 
-@njit(cache=True, nogil=True)
+@allocating
 def vertex_waste(F, m, tol, candidates):
     """For each candidate, how many triangles its star and half the next ring could do without.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from equimesh.fields.compiled import compiled
+from equimesh.fields.compiled import compiled, outlined
 from equimesh.optimise.mesh import (
     FREE_TRIANGLES,
     FREE_VERTICES,
@@ -115,7 +115,7 @@ def commit(m):
         c[FREE_VERTICES] += 1
 
 
-@compiled
+@outlined
 def rollback(m):
     """Undo everything since ``begin``."""
     c = m.count
@@ -201,7 +201,7 @@ def drop_vertex(m, v):
         c[FREE_VERTICES] += 1
 
 
-@compiled
+@outlined
 def star(m, v):
     """Triangles around v counter-clockwise, into ``m.ring``; ``(number, closed)``.
 
@@ -259,7 +259,7 @@ def point_back(m, t, old, new):
                 return
 
 
-@compiled
+@outlined
 def flip(m, t, k):
     """Replace edge k of t by the other diagonal; errors of the five edges move along.
 

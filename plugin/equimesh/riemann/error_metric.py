@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from equimesh.domain import DomainLike, domain_geometry
 from equimesh.errors import InputError
 from equimesh.fields import Source, as_field
+from equimesh.fields.compiled import allocating
 from equimesh.fields.kernel import PATCHES
 from equimesh.metric import frame_at
 
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _SHARE = 8.0 / 6.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def limited_tensors(frame, child, coef, local, eight_tol, floor):
     """(n, 2, 2) limited |H| / (6 tol) at local points (n, 2)."""
     out = np.empty((local.shape[0], 2, 2))

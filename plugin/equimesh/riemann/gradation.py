@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from equimesh.fields.compiled import allocating
 from equimesh.riemann.background import Background
 from equimesh.riemann.tensors import packed, unpacked
 
@@ -17,7 +17,7 @@ _ROUNDS = 200
 _STILL = 1e-6
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _intersect(a, b, c, p, q, r):
     """Intersection of (a b; b c) with (p q; q r), and the largest ratio of the second to the
     first."""
@@ -44,7 +44,7 @@ def _intersect(a, b, c, p, q, r):
     return a + k * u * u, b + k * u * v, c + k * v * v, top
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _sweeps(points, edges, m, log_rate, rounds, still):
     """Intersect the tensors (n, 3) at both ends of every edge until nothing changes."""
     for _ in range(rounds):

@@ -13,11 +13,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from equimesh.boundary import BoundaryNodes
 from equimesh.domain import Sides, strips_of
+from equimesh.fields.compiled import allocating
 from equimesh.front import inside, nearest
 from equimesh.pointtree import insert, make_tree
 from equimesh.riemann.kernels import geodesic, metric_at, orthonormal, unit_frame
@@ -38,7 +38,7 @@ _FAR = 0.95  # a seed this far from all vertices starts a lattice of its own
 _STEPS = 2  # of the integration along an edge
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _beside(tree, link, box, px, py, neighbours, x, y, w, gap):
     """Whether the boundary edges at the nearest boundary node pass within ``gap`` of (x, y)."""
     _, who = nearest(tree, link, box, px, py, x, y, w, 1.5, 0)
@@ -57,7 +57,7 @@ def _beside(tree, link, box, px, py, neighbours, x, y, w, gap):
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@allocating
 def _grow(
     P, sides, strip_start, strip_items, strip_box, box,
     tree, link, used, px, py, frames, count,
