@@ -9,7 +9,7 @@ import shapely.affinity
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from numpy.polynomial.polynomial import polyder, polyval2d
-from scipy.integrate import dblquad
+from scipy.integrate import dblquad, quad
 
 from equimesh.expression import parse
 from equimesh.fields.function import Function
@@ -173,6 +173,27 @@ def test_the_lower_bound_of_hessians_at_points_is_the_same(text, integral):
     x, y = (a.ravel() for a in np.meshgrid(middle, middle))
     ours = lower_bound_of(parse(text).hessian(x, y), np.full(x.size, 1 / x.size), 0.5)
     assert ours == pytest.approx(integral / 0.5, rel=2e-3)
+
+
+# det(H / 2) = (1 - 2 x^2) / 4.
+ACROSS = "-x**4/12+x**2/4+y**2"
+
+
+def test_a_change_of_sign_inside_triangles_is_integrated_well():
+    """By triangles that do not know where it is, from few to many, as by quadrature in x."""
+    kernel = Function(ACROSS).kernel(shapely.box(0, 0, 1, 1), 1e-7)
+    root = math.sqrt(0.5)
+    below = quad(lambda x: math.sqrt(0.5 - x * x), 0, root)[0]
+    above = quad(lambda x: math.sqrt(x * x - 0.5), root, 1)[0]
+    exact = root * (below / CONVEX + above / SADDLE)
+    for n in (3, 17, 120):
+        places = np.linspace(-1, 1, n)
+        x, y = (a.ravel() for a in np.meshgrid(places, places))
+        corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+        lower = np.stack([corner, corner + 1, corner + n + 1], 1)
+        upper = np.stack([corner, corner + n + 1, corner + n], 1)
+        bound = lower_bound(kernel, np.stack([x, y], 1), np.vstack([lower, upper]), 1.0)
+        assert bound == pytest.approx(exact, rel=2e-4)
 
 
 def test_the_bound_does_not_depend_on_the_triangles_that_cover_the_domain():

@@ -39,7 +39,10 @@ AREA_SADDLE = math.sqrt(5.0)
 BOOST_PERIOD = 2.0 * math.log((1.0 + math.sqrt(5.0)) / 2.0)
 
 _CUBIC = 72.0 * math.sqrt(3.0)
-_FINE = 24  # parts of a side where a density with a kink is integrated
+_FINE = 24  # parts of a side where a metric that is limited near det H = 0 is integrated,
+_BESIDE = 12  # and where the density of H itself is,
+_BESIDE_SMALL = 4  # also in triangles that are as small as the others' parts
+_SIGN = 0.05  # of the range of det H in a triangle, that it must reach on both sides of zero
 
 
 @allocating
@@ -95,12 +98,9 @@ def frame_at(frame, child, coef, x, y, eight_tol, floor):
 
 
 @allocating
-def _density(hxx, hxy, hyy, tol):
-    """Optimal triangles per unit area, by the sign of det H."""
-    det = 0.25 * (hxx * hyy - hxy * hxy)
-    return (
-        math.sqrt(det) / (AREA_CONVEX * tol) if det > 0.0 else math.sqrt(-det) / (AREA_SADDLE * tol)
-    )
+def _constant(det, tol):
+    """Optimal triangles per unit area over the root of |det(H / 2)|, by its sign."""
+    return 1.0 / ((AREA_CONVEX if det > 0.0 else AREA_SADDLE) * tol)
 
 
 def lower_bound_of(hessian: NDArray[np.float64], areas: NDArray[np.float64], tol: float) -> float:
@@ -119,16 +119,27 @@ def lower_bound_of(hessian: NDArray[np.float64], areas: NDArray[np.float64], tol
 
 
 @allocating
-def _needed(frame, child, coef, x, y, tol, floor):
-    """Lattice triangles per unit area at a point, of H alone (``floor`` = 0) or of the limited
-    metric, and whether det H > 0 there."""
-    if floor > 0.0:
-        e1x, e1y, e2x, e2y, eps, _ = frame_at(frame, child, coef, x, y, 8.0 * tol, floor)
-        constant = AREA_CONVEX if eps > 0 else AREA_SADDLE
-        # dy/dx has the determinant 1 / det W, in units of 8 tol for H
-        return 4.0 / (constant * abs(e1x * e2y - e2x * e1y)), eps > 0
-    _, _, _, hxx, hxy, hyy = derivatives2(frame, child, coef, x, y)
-    return _density(hxx, hxy, hyy, tol), hxx * hyy > hxy * hxy
+def _mean_beside(d0, d1, d2, tol):
+    """Mean density of H over a triangle in which det(H / 2) is linear, of these values at corners,
+    and changes its sign.
+
+    It is twice the second divided difference of what has the density as second derivative, by the
+    formula of Hermite and Genocchi.
+    """
+    low, high = min(d0, d1, d2), max(d0, d1, d2)
+    middle = d0 + d1 + d2 - low - high
+    below, above = _slope(low, middle, high - low, tol), _slope(middle, high, high - low, tol)
+    return 2.0 * (above - below) / (high - low)
+
+
+@allocating
+def _slope(a, b, scale, tol):
+    """Divided difference of 4/15 |d|^(5/2), times the constant for the sign of d, from a to b."""
+    if b - a > 1e-6 * scale:
+        upper = 4.0 / 15.0 * _constant(b, tol) * abs(b) ** 2.5
+        return (upper - 4.0 / 15.0 * _constant(a, tol) * abs(a) ** 2.5) / (b - a)
+    d = 0.5 * (a + b)
+    return math.copysign(2.0 / 3.0 * _constant(d, tol) * abs(d) ** 1.5, d)
 
 
 @allocating
@@ -147,12 +158,57 @@ def _crossed(frame, child, coef, ax, ay, ux, uy, vx, vy):
 
 
 @allocating
-def _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor):
-    """Densities at three points inside each of n^2 parts of a triangle, and at how many det H > 0.
+def _det(frame, child, coef, x, y):
+    """det(H / 2)."""
+    _, _, _, hxx, hxy, hyy = derivatives2(frame, child, coef, x, y)
+    return 0.25 * (hxx * hyy - hxy * hxy)
 
-    Their mean times the area is the rule of second order.
+
+@allocating
+def _of_part(frame, child, coef, x, y, ux, uy, vx, vy, tol):
+    """Mean density of H over the triangle of x + u and x + v, and whether det H changes its sign.
+
+    By the rule of second order; but where the density has a kink, as if det H were linear. Next to
+    nothing on one side of zero is no sign: what decays is not linear.
     """
-    total, positive = 0.0, 0
+    s, l = 1.0 / 6.0, 2.0 / 3.0
+    a = _det(frame, child, coef, x + s * (ux + vx), y + s * (uy + vy))
+    b = _det(frame, child, coef, x + l * ux + s * vx, y + l * uy + s * vy)
+    c = _det(frame, child, coef, x + s * ux + l * vx, y + s * uy + l * vy)
+    mean = (a + b + c) / 3.0
+    # At a corner a linear function is twice what it is there, less the mean.
+    if 2.0 * min(a, b, c) < mean and 2.0 * max(a, b, c) > mean:
+        d0 = _det(frame, child, coef, x, y)
+        d1 = _det(frame, child, coef, x + ux, y + uy)
+        d2 = _det(frame, child, coef, x + vx, y + vy)
+        low, high = min(d0, d1, d2), max(d0, d1, d2)
+        if min(-low, high) > _SIGN * (high - low):
+            return _mean_beside(d0, d1, d2, tol), True
+    total = 0.0
+    for d in (a, b, c):
+        total += _constant(d, tol) * math.sqrt(abs(d))
+    return total / 3.0, False
+
+
+@allocating
+def _of_limited(frame, child, coef, x, y, ux, uy, vx, vy, tol, floor):
+    """The same in the limited metric, by the rule alone."""
+    total, signs = 0.0, 0.0
+    for k in range(3):
+        p, q = 4.0 if k == 1 else 1.0, 4.0 if k == 2 else 1.0
+        px, py = x + (p * ux + q * vx) / 6.0, y + (p * uy + q * vy) / 6.0
+        e1x, e1y, e2x, e2y, eps, _ = frame_at(frame, child, coef, px, py, 8.0 * tol, floor)
+        constant = AREA_CONVEX if eps > 0 else AREA_SADDLE
+        # dy/dx has the determinant 1 / det W, in units of 8 tol for H
+        total += 4.0 / (constant * abs(e1x * e2y - e2x * e1y))
+        signs += eps
+    return total / 3.0, abs(signs) < 3.0
+
+
+@allocating
+def _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor):
+    """Sum of the mean densities of n^2 parts of a triangle, and whether det H changes its sign."""
+    total, mixed = 0.0, False
     for i in range(n):
         for j in range(n - i):
             for half in range(2):
@@ -160,25 +216,29 @@ def _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor):
                     continue
                 # the corner of this part, and the direction in which it lies
                 u, v, side = (i + half) / n, (j + half) / n, (1.0 - 2.0 * half) / n
-                for k in range(3):
-                    p = u + side * (4.0 if k == 0 else 1.0) / 6.0
-                    q = v + side * (4.0 if k == 1 else 1.0) / 6.0
-                    needed, convex = _needed(
-                        frame, child, coef,
-                        ax + p * ux + q * vx, ay + p * uy + q * vy, tol, floor,
+                x, y = ax + u * ux + v * vx, ay + u * uy + v * vy
+                if floor > 0.0:
+                    part, changes = _of_limited(
+                        frame, child, coef, x, y, side * ux, side * uy, side * vx, side * vy, tol,
+                        floor,
                     )  # fmt: skip
-                    total += needed
-                    positive += 1 if convex else 0
-    return total, positive
+                else:
+                    part, changes = _of_part(
+                        frame, child, coef, x, y, side * ux, side * uy, side * vx, side * vy, tol
+                    )
+                total += part
+                mixed = mixed or changes
+    return total, mixed
 
 
 @allocating
 def _integrate(frame, child, coef, points, triangles, depth, tol, floor, first, last, out):
     """Lattice triangles over each of the triangles ``first`` ... ``last`` into ``out``.
 
-    On 4^depth parts, and on at least ``_FINE``^2 where det H changes its sign: there the density
-    has a kink. Small triangles (``depth`` 0) tell that by the quadrature points themselves.
+    On 4^depth parts, and on more where det H changes its sign. Small triangles (``depth`` 0) tell
+    that by the quadrature points themselves.
     """
+    fine = _FINE if floor > 0.0 else _BESIDE if depth > 0 else _BESIDE_SMALL
     for t in range(first, last):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         ax, ay = points[a, 0], points[a, 1]
@@ -186,12 +246,12 @@ def _integrate(frame, child, coef, points, triangles, depth, tol, floor, first, 
         vx, vy = points[c, 0] - ax, points[c, 1] - ay
         n = 2**depth
         if depth > 0 and _crossed(frame, child, coef, ax, ay, ux, uy, vx, vy):
-            n = max(n, _FINE)
-        total, positive = _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor)
-        if depth == 0 and 0 < positive < 3:
-            n = _FINE
+            n = max(n, fine)
+        total, mixed = _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor)
+        if depth == 0 and mixed:
+            n = fine
             total, _ = _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor)
-        out[t] = total * (ux * vy - uy * vx) / (6.0 * n * n)
+        out[t] = total * (ux * vy - uy * vx) / (2.0 * n * n)
 
 
 def lower_bound(
