@@ -130,9 +130,9 @@ class Function:
         )
 
     def span(self, domain: shapely.Geometry) -> tuple[float, float]:
-        """Smallest and largest of samples over the domain (a 257 x 257 grid of its box)."""
+        """Smallest and largest of samples over the domain (a 129 x 129 grid of its box)."""
         xmin, ymin, xmax, ymax = shapely.bounds(domain)
-        grid = np.meshgrid(np.linspace(xmin, xmax, 257), np.linspace(ymin, ymax, 257))
+        grid = np.meshgrid(np.linspace(xmin, xmax, 129), np.linspace(ymin, ymax, 129))
         x, y = (a.ravel() for a in grid)
         inside = shapely.intersects_xy(domain, x, y)
         corners = shapely.get_coordinates(domain)

@@ -8,14 +8,13 @@ in four and sampled again, so the bound tightens as far as it has to.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.compiled import allocating
+from equimesh.fields.workers import in_ranges
 
 __all__ = ["sampled_errors"]
 
@@ -93,20 +92,15 @@ def _quarters(corners: Array) -> Array:
 
 def _sample_all(f: Callable[[Array, Array], Array], corners: Array) -> tuple[Array, Array]:
     errors, bounds = np.empty(len(corners)), np.empty(len(corners))
-    starts = range(0, len(corners), _CHUNK)
 
-    def work(first: int) -> None:
-        part = slice(first, first + _CHUNK)
-        x, y, linear = _samples(corners[part], _WEIGHTS)
-        z = f(x.ravel(), y.ravel()).reshape(x.shape)
-        _model(z - linear, _INDEX, _REMAINDER, errors[part], bounds[part])
+    def work(first: int, last: int) -> None:
+        for start in range(first * _CHUNK, last * _CHUNK, _CHUNK):
+            part = slice(start, start + _CHUNK)
+            x, y, linear = _samples(corners[part], _WEIGHTS)
+            z = f(x.ravel(), y.ravel()).reshape(x.shape)
+            _model(z - linear, _INDEX, _REMAINDER, errors[part], bounds[part])
 
-    if len(corners) <= _CHUNK:
-        for first in starts:
-            work(first)
-    else:
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(work, starts))
+    in_ranges(work, -(-len(corners) // _CHUNK), 1)
     return errors, bounds
 
 
