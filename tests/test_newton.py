@@ -12,8 +12,9 @@ from equimesh.fields.dispatch import value
 from equimesh.fields.function import Function
 from equimesh.optimise.energy import evaluate_all, lift
 from equimesh.optimise.mesh import FIRM, FIXED, FREE, HARD, MANNER, MODEL, SLIDES, SOFT, build
-from equimesh.optimise.newton import _assemble, _number_edges, _prices, relax_together
+from equimesh.optimise.newton import relax_together
 from equimesh.optimise.sweep import lift_all
+from equimesh.optimise.system import System, prices
 from equimesh.triangulation import constrained_delaunay
 
 POWERS = {"soft": SOFT, "firm": FIRM, "hard": HARD}
@@ -53,19 +54,14 @@ def shaken(field, mesh, seed, by):
 
 def total_of(mesh):
     """The energy of all triangles."""
-    return _prices(mesh, np.zeros(int(mesh.count[0])))
+    return prices(mesh, np.zeros(int(mesh.count[0])))
 
 
 def gradient_of(field, mesh, tol):
     """(n, 2) derivative of the energy by every place, from the assembled system."""
-    n, t = int(mesh.count[1]), int(mesh.count[0])
-    number, ends = np.zeros((t, 3), np.int64), np.zeros((3 * t, 2), np.int64)
-    edges = _number_edges(mesh, number, ends)
-    downhill = np.zeros((n, 2))
-    _assemble(
-        field, mesh, tol, number, np.zeros((n, 3)), np.zeros((edges, 4)), downhill, np.zeros((3, 2))
-    )
-    return -downhill
+    system = System(mesh)
+    system.assemble(field, mesh, tol)
+    return -system.downhill
 
 
 @pytest.mark.parametrize("power", POWERS)

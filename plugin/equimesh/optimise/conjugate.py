@@ -1,83 +1,192 @@
 """Conjugate gradients on a matrix of 2 x 2 blocks: one for each vertex and one for each edge.
 
 The diagonal is damped after Levenberg and Marquardt, and the vertices' own blocks precondition.
+Each vertex gathers its row from the edges around it, so that rows may be shared by threads.
 """
 
 from __future__ import annotations
 
-from equimesh.fields.compiled import compiled
+from collections.abc import Callable
+from typing import NamedTuple
 
-__all__ = ["solve"]
+import numpy as np
+from numpy.typing import NDArray
+
+from equimesh.fields.compiled import compiled
+from equimesh.fields.workers import in_ranges
+
+__all__ = ["Matrix", "matrix", "solve", "spread"]
 
 _CONJUGATE = 60  # conjugate gradients for one step,
 _SMALL = 1e-4  # or as many as bring the square of the residual down to this share
+_MANY = 16_000  # vertices from which on threads share the rows,
+_ROWS = 4096  # so many at a time
+
+
+class Matrix(NamedTuple):
+    """Blocks of a symmetric matrix, and where the rows find theirs."""
+
+    diagonal: NDArray[np.float64]  # (v, 3) xx, xy, yy
+    beside: NDArray[np.float64]  # (e, 4) xx, xy, yx, yy, the rows being its first end's
+    first: NDArray[np.int64]  # (v + 1,) bounds of each vertex's part of ``around``
+    around: NDArray[np.int64]  # (2 e,) twice the number of an edge, plus which of its ends it is
+    beyond: NDArray[np.int64]  # (2 e,) its other end
+    blocks: NDArray[np.float64]  # (2 e, 4) its block, as the row has it (``spread``)
+
+
+def matrix(vertices: int, ends: NDArray[np.int64]) -> Matrix:
+    """A matrix of zeros for a mesh of so many vertices with the edges ``ends`` (e, 2)."""
+    first = np.zeros(vertices + 1, np.int64)
+    np.cumsum(np.bincount(ends.ravel(), minlength=vertices), out=first[1:])
+    around = np.zeros(2 * len(ends), np.int64)
+    _list_edges(ends, first[:-1].copy(), around)
+    beyond = ends[around >> 1, 1 - (around & 1)]
+    return Matrix(
+        np.zeros((vertices, 3)), np.zeros((len(ends), 4)), first, around, beyond,
+        np.zeros((2 * len(ends), 4)),
+    )  # fmt: skip
 
 
 @compiled
-def _times(diagonal, beside, ends, damping, x, out):
-    """``out`` = the damped matrix times x."""
-    more = 1.0 + damping
-    for v in range(x.shape[0]):
-        out[v, 0] = more * diagonal[v, 0] * x[v, 0] + diagonal[v, 1] * x[v, 1]
-        out[v, 1] = diagonal[v, 1] * x[v, 0] + more * diagonal[v, 2] * x[v, 1]
+def _list_edges(ends, free, around):
+    """The edges at each vertex; ``free`` (v,) is where its part begins, and written over."""
     for n in range(ends.shape[0]):
-        a, b = ends[n, 0], ends[n, 1]
-        out[a, 0] += beside[n, 0] * x[b, 0] + beside[n, 1] * x[b, 1]
-        out[a, 1] += beside[n, 2] * x[b, 0] + beside[n, 3] * x[b, 1]
-        out[b, 0] += beside[n, 0] * x[a, 0] + beside[n, 2] * x[a, 1]
-        out[b, 1] += beside[n, 1] * x[a, 0] + beside[n, 3] * x[a, 1]
+        for k in range(2):
+            v = ends[n, k]
+            around[free[v]] = 2 * n + k
+            free[v] += 1
 
 
 @compiled
-def _precondition(diagonal, damping, r, out):
-    """Divide by the vertices' own blocks; what has none (fixed, gone) stays."""
-    for v in range(r.shape[0]):
-        a, b, c = (1.0 + damping) * diagonal[v, 0], diagonal[v, 1], (1.0 + damping) * diagonal[v, 2]
-        least = 1e-9 * (a + c)
-        a, c = a + least, c + least
-        det = a * c - b * b
-        if det > 0.0:
-            out[v, 0], out[v, 1] = (
-                (c * r[v, 0] - b * r[v, 1]) / det,
-                (a * r[v, 1] - b * r[v, 0]) / det,
-            )
-        else:
-            out[v, 0] = out[v, 1] = 0.0
+def _spread(beside, around, blocks, start, stop):
+    for i in range(start, stop):
+        n, k = around[i] >> 1, around[i] & 1
+        blocks[i, 0], blocks[i, 3] = beside[n, 0], beside[n, 3]
+        blocks[i, 1], blocks[i, 2] = beside[n, 1 + k], beside[n, 2 - k]
+
+
+def spread(of: Matrix) -> None:
+    """Give rows their own blocks, where ``beside`` has changed."""
+    in_ranges(
+        lambda start, stop: _spread(of.beside, of.around, of.blocks, start, stop),
+        len(of.around),
+        8 * _ROWS,
+    )
 
 
 @compiled
-def _dot(x, y):
-    total = 0.0
-    for v in range(x.shape[0]):
-        total += x[v, 0] * y[v, 0] + x[v, 1] * y[v, 1]
+def _multiply(diagonal, first, beyond, blocks, damping, d, q, start, stop):
+    """Q = the damped matrix times d in rows ``start`` ... ``stop``; returns their part of d q."""
+    more, total = 1.0 + damping, 0.0
+    for v in range(start, stop):
+        x, y = d[v, 0], d[v, 1]
+        qx = more * diagonal[v, 0] * x + diagonal[v, 1] * y
+        qy = diagonal[v, 1] * x + more * diagonal[v, 2] * y
+        for i in range(first[v], first[v + 1]):
+            w = beyond[i]
+            qx += blocks[i, 0] * d[w, 0] + blocks[i, 1] * d[w, 1]
+            qy += blocks[i, 2] * d[w, 0] + blocks[i, 3] * d[w, 1]
+        q[v, 0], q[v, 1] = qx, qy
+        total += x * qx + y * qy
     return total
 
 
 @compiled
-def solve(diagonal, beside, ends, damping, downhill, step, work):
-    """Conjugate gradients for the damped step; ``work`` (4, v, 2)."""
-    r, z, d, q = work[0], work[1], work[2], work[3]
-    for v in range(step.shape[0]):
+def _advance(diagonal, damping, length, d, q, step, r, z, start, stop):
+    """A step of this length along d; the residual r, divided by the vertices' own blocks, is z.
+
+    What has no block (fixed, gone) stays. Returns the rows' part of r z.
+    """
+    total = 0.0
+    for v in range(start, stop):
         for i in range(2):
-            step[v, i], r[v, i] = 0.0, downhill[v, i]
-    _precondition(diagonal, damping, r, z)
-    for v in range(step.shape[0]):
-        d[v, 0], d[v, 1] = z[v, 0], z[v, 1]
-    rz = first = _dot(r, z)
+            step[v, i] += length * d[v, i]
+            r[v, i] -= length * q[v, i]
+        a, b, c = (1.0 + damping) * diagonal[v, 0], diagonal[v, 1], (1.0 + damping) * diagonal[v, 2]
+        least = 1e-9 * (a + c)
+        a, c = a + least, c + least
+        det = a * c - b * b
+        z[v, 0] = z[v, 1] = 0.0
+        if det > 0.0:
+            z[v, 0] = (c * r[v, 0] - b * r[v, 1]) / det
+            z[v, 1] = (a * r[v, 1] - b * r[v, 0]) / det
+        total += r[v, 0] * z[v, 0] + r[v, 1] * z[v, 1]
+    return total
+
+
+@compiled
+def _turn(z, share, d, start, stop):
+    """The next direction."""
+    for v in range(start, stop):
+        for i in range(2):
+            d[v, i] = z[v, i] + share * d[v, i]
+
+
+@compiled
+def _solve_alone(diagonal, first, beyond, blocks, damping, d, q, step, r, z):
+    """``solve`` in one thread, from the residual in r and zeros."""
+    n = step.shape[0]
+    rz = least = _advance(diagonal, damping, 0.0, d, q, step, r, z, 0, n)
+    least *= _SMALL
+    _turn(z, 0.0, d, 0, n)
     for _ in range(_CONJUGATE):
-        if not rz > _SMALL * first:
+        if not rz > least:
             break
-        _times(diagonal, beside, ends, damping, d, q)
-        dq = _dot(d, q)
+        dq = _multiply(diagonal, first, beyond, blocks, damping, d, q, 0, n)
         if not dq > 0.0:
             break
-        length = rz / dq
-        for v in range(step.shape[0]):
-            for i in range(2):
-                step[v, i] += length * d[v, i]
-                r[v, i] -= length * q[v, i]
-        _precondition(diagonal, damping, r, z)
-        before, rz = rz, _dot(r, z)
-        for v in range(step.shape[0]):
-            for i in range(2):
-                d[v, i] = z[v, i] + rz / before * d[v, i]
+        before, rz = rz, _advance(diagonal, damping, rz / dq, d, q, step, r, z, 0, n)
+        _turn(z, rz / before, d, 0, n)
+
+
+def _shared(work: Callable[[int, int], None], count: int, parts: NDArray[np.float64]) -> float:
+    """The sum of what ``work`` has left in ``parts`` for each range of rows."""
+    in_ranges(work, count, _ROWS)
+    return float(parts.sum())
+
+
+def solve(
+    of: Matrix,
+    damping: float,
+    downhill: NDArray[np.float64],
+    step: NDArray[np.float64],
+    work: NDArray[np.float64],
+) -> None:
+    """The damped ``step`` (v, 2) for the negative gradient ``downhill`` (v, 2).
+
+    ``spread`` must have been called for the matrix; ``work`` (4, v, 2) is scratch.
+    """
+    n = len(step)
+    d, q, z, r = work
+    step[:], d[:], q[:], r[:] = 0.0, 0.0, 0.0, downhill
+    rows = of.diagonal, of.first, of.beyond, of.blocks
+    if n < _MANY:
+        _solve_alone(*rows, damping, d, q, step, r, z)
+        return
+    parts = np.zeros(-(-n // _ROWS))
+
+    def product(start: int, stop: int) -> None:
+        parts[start // _ROWS] = _multiply(*rows, damping, d, q, start, stop)
+
+    def advanced(length: float) -> float:
+        def work(start: int, stop: int) -> None:
+            parts[start // _ROWS] = _advance(
+                of.diagonal, damping, length, d, q, step, r, z, start, stop
+            )
+
+        return _shared(work, n, parts)
+
+    def turned(share: float) -> None:
+        in_ranges(lambda start, stop: _turn(z, share, d, start, stop), n, _ROWS)
+
+    rz = advanced(0.0)
+    least, share = _SMALL * rz, 0.0
+    for _ in range(_CONJUGATE):
+        turned(share)
+        if not rz > least:
+            break
+        dq = _shared(product, n, parts)
+        if not dq > 0.0:
+            break
+        before, rz = rz, advanced(rz / dq)
+        share = rz / before
