@@ -6,7 +6,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from equimesh.optimise import conjugate
-from equimesh.optimise.conjugate import matrix, solve, spread
+from equimesh.optimise.conjugate import matrix, solve
 
 
 def random_system(seed, vertices):
@@ -20,12 +20,12 @@ def random_system(seed, vertices):
         rows = np.array([2 * a, 2 * a + 1, 2 * b, 2 * b + 1])
         block = np.outer(g, g)
         dense[np.ix_(rows, rows)] += block
-        of.beside[n] = block[:2, 2:].ravel()
+        of.blocks[of.places[n, 0]] = block[:2, 2:].ravel()
+        of.blocks[of.places[n, 1]] = block[2:, :2].ravel()
     for v in range(vertices):
         dense[2 * v : 2 * v + 2, 2 * v : 2 * v + 2] += 0.1 * np.eye(2)
         own = dense[2 * v : 2 * v + 2, 2 * v : 2 * v + 2]
         of.diagonal[v] = own[0, 0], own[0, 1], own[1, 1]
-    spread(of)
     return of, dense, rng.normal(size=(vertices, 2))
 
 
@@ -64,6 +64,5 @@ def test_threads_find_the_same_step(monkeypatch, threads):
 def test_what_has_no_block_stays():
     of = matrix(3, np.array([[0, 1]]))
     of.diagonal[0] = 2.0, 0.0, 4.0
-    spread(of)
     step = solved(of, 0.0, np.array([[2.0, 2.0], [0.0, 0.0], [0.0, 0.0]]))
     assert step == pytest.approx(np.array([[1.0, 0.5], [0.0, 0.0], [0.0, 0.0]]), abs=1e-8)

@@ -55,6 +55,15 @@ def test_a_change_in_another_file_is_noticed(tmp_path, how):
     assert said == [["8.0", "0"], ["8.0", "1"], ["14.0", "0"]]
 
 
+def test_what_is_compiled_with_a_kernel_from_disk_runs_from_disk(tmp_path):
+    (tmp_path / "caller.py").write_text(CALLER)
+    (tmp_path / "callee.py").write_text(CALLEE.format(how="outlined", more="1.0"))
+    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    assert run("import caller; print(caller.caller(3.0, 2.0))", tmp_path, **cache) == "8.0\n"
+    for _ in range(2):  # compiled with ``caller`` from disk, then itself from disk
+        assert run("import caller; print(caller.above(3.0))", tmp_path, **cache) == "8.0\n"
+
+
 def test_digests_are_the_same_in_every_process():
     first, second = (run(ALL, PYTHONHASHSEED=seed) for seed in ("1", "2"))
     assert first == second

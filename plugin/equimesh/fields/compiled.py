@@ -16,7 +16,6 @@ __all__ = ["allocating", "compiled", "inlined", "outlined"]
 # Division by zero gives inf or NaN. Nothing calls kernels from C, and wrappers for that take the
 # compiler some seconds.
 _HOW: dict[str, Any] = {
-    "cache": True,
     "nogil": True,
     "error_model": "numpy",
     "no_cfunc_wrapper": True,

@@ -19,11 +19,33 @@ from numba.core.registry import CPUDispatcher
 __all__ = ["KernelCache", "digest"]
 
 
-class KernelCache(FunctionCache):  # type: ignore[misc]
-    """Numba's cache of one kernel, its entries told apart by ``digest`` as well."""
+class KernelCache:
+    """Numba's cache of one kernel, its entries told apart by ``digest`` as well.
 
+    Files are looked for when the kernel is first called: most kernels of most programs never are.
+    """
+
+    def __init__(self, kernel: Callable[..., Any]) -> None:
+        self._kernel = kernel
+
+    @functools.cached_property
+    def _files(self) -> FunctionCache:
+        return _Files(self._kernel)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._files, name)
+
+
+class _Files(FunctionCache):  # type: ignore[misc]
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return (*super()._index_key(sig, codegen), digest(self._py_func))
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Also what is compiled with a kernel from disk in it needs what that calls by name."""
+        loaded = super().load_overload(sig, target_context)
+        if loaded is not None:
+            loaded.library._reload_init.update(loaded.reload_init)
+        return loaded
 
 
 @functools.cache

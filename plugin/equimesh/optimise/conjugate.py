@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from equimesh.fields.compiled import compiled
 from equimesh.fields.workers import in_ranges
 
-__all__ = ["Matrix", "matrix", "solve", "spread"]
+__all__ = ["Matrix", "matrix", "solve"]
 
 _CONJUGATE = 60  # conjugate gradients for one step,
 _SMALL = 1e-4  # or as many as bring the square of the residual down to this share
@@ -24,54 +24,33 @@ _ROWS = 4096  # so many at a time
 
 
 class Matrix(NamedTuple):
-    """Blocks of a symmetric matrix, and where the rows find theirs."""
+    """Blocks of a symmetric matrix, row by row."""
 
     diagonal: NDArray[np.float64]  # (v, 3) xx, xy, yy
-    beside: NDArray[np.float64]  # (e, 4) xx, xy, yx, yy, the rows being its first end's
-    first: NDArray[np.int64]  # (v + 1,) bounds of each vertex's part of ``around``
-    around: NDArray[np.int64]  # (2 e,) twice the number of an edge, plus which of its ends it is
-    beyond: NDArray[np.int64]  # (2 e,) its other end
-    blocks: NDArray[np.float64]  # (2 e, 4) its block, as the row has it (``spread``)
+    first: NDArray[np.int64]  # (v + 1,) bounds of each vertex's part of the next two
+    beyond: NDArray[np.int32]  # (2 e,) the other ends of its edges
+    blocks: NDArray[np.float64]  # (2 e, 4) xx, xy, yx, yy
+    places: NDArray[np.int32]  # (e, 2) where each edge's first and second end have it
 
 
 def matrix(vertices: int, ends: NDArray[np.int64]) -> Matrix:
     """A matrix of zeros for a mesh of so many vertices with the edges ``ends`` (e, 2)."""
     first = np.zeros(vertices + 1, np.int64)
     np.cumsum(np.bincount(ends.ravel(), minlength=vertices), out=first[1:])
-    around = np.zeros(2 * len(ends), np.int64)
-    _list_edges(ends, first[:-1].copy(), around)
-    beyond = ends[around >> 1, 1 - (around & 1)]
-    return Matrix(
-        np.zeros((vertices, 3)), np.zeros((len(ends), 4)), first, around, beyond,
-        np.zeros((2 * len(ends), 4)),
-    )  # fmt: skip
+    beyond, places = np.zeros(2 * len(ends), np.int32), np.zeros((len(ends), 2), np.int32)
+    _list_edges(ends, first[:-1].copy(), beyond, places)
+    return Matrix(np.zeros((vertices, 3)), first, beyond, np.zeros((2 * len(ends), 4)), places)
 
 
 @compiled
-def _list_edges(ends, free, around):
+def _list_edges(ends, free, beyond, places):
     """The edges at each vertex; ``free`` (v,) is where its part begins, and written over."""
     for n in range(ends.shape[0]):
         for k in range(2):
             v = ends[n, k]
-            around[free[v]] = 2 * n + k
+            beyond[free[v]] = ends[n, 1 - k]
+            places[n, k] = free[v]
             free[v] += 1
-
-
-@compiled
-def _spread(beside, around, blocks, start, stop):
-    for i in range(start, stop):
-        n, k = around[i] >> 1, around[i] & 1
-        blocks[i, 0], blocks[i, 3] = beside[n, 0], beside[n, 3]
-        blocks[i, 1], blocks[i, 2] = beside[n, 1 + k], beside[n, 2 - k]
-
-
-def spread(of: Matrix) -> None:
-    """Give rows their own blocks, where ``beside`` has changed."""
-    in_ranges(
-        lambda start, stop: _spread(of.beside, of.around, of.blocks, start, stop),
-        len(of.around),
-        8 * _ROWS,
-    )
 
 
 @compiled
@@ -154,7 +133,7 @@ def solve(
 ) -> None:
     """The damped ``step`` (v, 2) for the negative gradient ``downhill`` (v, 2).
 
-    ``spread`` must have been called for the matrix; ``work`` (4, v, 2) is scratch.
+    ``work`` (4, v, 2) is scratch.
     """
     n = len(step)
     d, q, z, r = work

@@ -6,7 +6,8 @@ and ``tn[t, k]`` is the triangle beyond it (-1 at the border). Errors are in uni
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,11 @@ SETTLE, SPREAD, EVEN, SOFT, FIRM, HARD = 0, 1, 2, 3, 4, 5
     MODEL,
     HEIGHTS,
 ) = range(13)
+
+
+_PASSING = {
+    "log_ti", "log_tf", "log_vi", "log_vf", "lost_t", "lost_v", "ring", "work", "hole_i", "hole_f",
+}  # fmt: skip
 
 
 @by_reference
@@ -183,14 +189,24 @@ def movable(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def copied(mesh: Mesh) -> Mesh:
-    """The same mesh in arrays of its own."""
-    return mesh._replace(**{name: np.array(part) for name, part in mesh._asdict().items()})
+    """The same mesh in arrays of its own, but for journal and scratch.
+
+    So no two of them may change at once.
+    """
+    return mesh._replace(**{name: part.copy() for name, part in _kept(mesh)})
 
 
 def restore(mesh: Mesh, kept: Mesh) -> None:
     """Make the mesh in place what another with as many slots is."""
-    for name, part in mesh._asdict().items():
+    for name, part in _kept(mesh):
         np.copyto(part, getattr(kept, name))
+
+
+def _kept(mesh: Mesh) -> Iterator[tuple[str, NDArray[Any]]]:
+    """The arrays that mean something between two changes."""
+    for name, part in mesh._asdict().items():
+        if name not in _PASSING:
+            yield name, part
 
 
 def enlarged(mesh: Mesh) -> Mesh:

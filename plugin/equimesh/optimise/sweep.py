@@ -39,6 +39,8 @@ __all__ = [
 # power of the share of their visits that is spent (three thousand trials on five functions).
 _HOPE, _FALL = 3.0, 1e-6
 
+_WANDERING, _AROUND = 4_000, 100  # visits at least, and for each violated vertex, where they relax
+
 _AREA_CONVEX = 3.0 * math.sqrt(3.0) / 16.0  # of the optimal triangles in units of 8 tol
 _AREA_SADDLE = math.sqrt(5.0) / 4.0
 
@@ -123,10 +125,10 @@ def split_borders(F, m, tol):
 
 # Each kernel's code has that of all kernels that it calls: what ends in one call is left to Python.
 def relax_all(F: KernelField, m: Mesh, tol: float, q: Queue, per_vertex: int) -> None:
-    """Relax around every violation."""
+    """Relax around every violation; what has wandered far from them is left as it is."""
     clear(q)
     push_violated(m, q)
-    relax(F, m, tol, q, 1 << 60, per_vertex)
+    relax(F, m, tol, q, max(_WANDERING, _AROUND * int(q.state[1])), per_vertex)
 
 
 def relax_everything(F: KernelField, m: Mesh, tol: float, q: Queue, per_vertex: int) -> None:

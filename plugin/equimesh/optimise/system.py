@@ -16,7 +16,7 @@ from equimesh.fields.dispatch import gradient
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.workers import in_ranges
 from equimesh.optimise.angles import angle_slope, by_angle
-from equimesh.optimise.conjugate import matrix, spread
+from equimesh.optimise.conjugate import matrix
 from equimesh.optimise.energy import penalty, share_along, share_inside
 from equimesh.optimise.mesh import (
     FIRM,
@@ -36,7 +36,7 @@ __all__ = ["System", "prices"]
 _DEAR = 10.0  # powers of errors above this count by their logarithm: else one would hide the rest
 _SLIGHT = 0.3  # errors inside below which their slopes do not matter
 _RANGE = 2048  # triangles that a thread works on at a time,
-_BLOCK = 65_536  # and whose slopes are kept at a time
+_BLOCK = 8_192  # and whose slopes are kept at a time
 
 
 @inlined
@@ -165,7 +165,7 @@ def _slopes(F, m, tol, first, last, before, slopes, shares):
 
 
 @compiled
-def _add(m, first, last, slopes, shares, number, diagonal, beside, downhill):
+def _add(m, first, last, slopes, shares, number, diagonal, places, blocks, downhill):
     """The parts of triangles ``first`` ... ``last`` in the gradient and in the matrix."""
     for t in range(first, last):
         for k in range(4):
@@ -183,10 +183,13 @@ def _add(m, first, last, slopes, shares, number, diagonal, beside, downhill):
             for i in range(3):
                 j, n = (i + 1) % 3, number[t, i]
                 low, high = (i, j) if m.tv[t, i] < m.tv[t, j] else (j, i)
-                beside[n, 0] += by_twice * g[low, 0] * g[high, 0]
-                beside[n, 1] += by_twice * g[low, 0] * g[high, 1]
-                beside[n, 2] += by_twice * g[low, 1] * g[high, 0]
-                beside[n, 3] += by_twice * g[low, 1] * g[high, 1]
+                for side in range(2):  # the row of either end
+                    block, other = blocks[places[n, side]], high
+                    if side == 1:
+                        low, other = high, low
+                    for p in range(2):
+                        block[2 * p] += by_twice * g[low, p] * g[other, 0]
+                        block[2 * p + 1] += by_twice * g[low, p] * g[other, 1]
 
 
 class System:
@@ -204,14 +207,15 @@ class System:
 
     def assemble(self, field: KernelField, mesh: Mesh, tol: float) -> None:
         """Both for the places and the errors that the mesh has now."""
-        parts = self.matrix.diagonal, self.matrix.beside, self.downhill
-        for part in parts:
-            part[:] = 0.0
+        of = self.matrix
+        of.diagonal[:], of.blocks[:], self.downhill[:] = 0.0, 0.0, 0.0
         for start in range(0, len(self.number), _BLOCK):
             stop = min(start + _BLOCK, len(self.number))
             self._slope_block(field, mesh, tol, start, stop)
-            _add(mesh, start, stop, self._slopes, self._shares, self.number, *parts)
-        spread(self.matrix)
+            _add(
+                mesh, start, stop, self._slopes, self._shares, self.number, of.diagonal, of.places,
+                of.blocks, self.downhill,
+            )  # fmt: skip
 
     def _slope_block(
         self, field: KernelField, mesh: Mesh, tol: float, start: int, stop: int
