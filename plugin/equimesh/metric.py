@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from equimesh.fields.compiled import allocating
+from equimesh.fields.compiled import compiled
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.patch_kernels import derivatives2, derivatives3
 from equimesh.fields.workers import in_ranges
@@ -45,7 +45,7 @@ _BESIDE_SMALL = 4  # also in triangles that are as small as the others' parts
 _SIGN = 0.05  # of the range of det H in a triangle, that it must reach on both sides of zero
 
 
-@allocating
+@compiled
 def cubic_floor(l1, l2, vx, vy, t111, t112, t122, t222, eight_tol):
     """Eigenvalues of H that bound the error of the cubic part along each eigenvector too."""
     c1 = abs(t111 * vx**3 + 3 * t112 * vx * vx * vy + 3 * t122 * vx * vy * vy + t222 * vy**3)
@@ -56,7 +56,7 @@ def cubic_floor(l1, l2, vx, vy, t111, t112, t122, t222, eight_tol):
     return k1, k2
 
 
-@allocating
+@compiled
 def frame_at(frame, child, coef, x, y, eight_tol, floor):
     """The eigenframe of the metric at a point.
 
@@ -97,7 +97,7 @@ def frame_at(frame, child, coef, x, y, eight_tol, floor):
     return s1 * vx, s1 * vy, -s2 * vy, s2 * vx, eps, pure
 
 
-@allocating
+@compiled
 def _constant(det, tol):
     """Optimal triangles per unit area over the root of |det(H / 2)|, by its sign."""
     return 1.0 / ((AREA_CONVEX if det > 0.0 else AREA_SADDLE) * tol)
@@ -118,7 +118,7 @@ def lower_bound_of(hessian: NDArray[np.float64], areas: NDArray[np.float64], tol
     return float((np.sqrt(np.abs(det)) / constant * areas).sum() / tol)
 
 
-@allocating
+@compiled
 def _mean_beside(d0, d1, d2, tol):
     """Mean density of H over a triangle in which det(H / 2) is linear, of these values at corners,
     and changes its sign.
@@ -132,7 +132,7 @@ def _mean_beside(d0, d1, d2, tol):
     return 2.0 * (above - below) / (high - low)
 
 
-@allocating
+@compiled
 def _slope(a, b, scale, tol):
     """Divided difference of 4/15 |d|^(5/2), times the constant for the sign of d, from a to b."""
     if b - a > 1e-6 * scale:
@@ -142,7 +142,14 @@ def _slope(a, b, scale, tol):
     return math.copysign(2.0 / 3.0 * _constant(d, tol) * abs(d) ** 1.5, d)
 
 
-@allocating
+@compiled
+def _det(frame, child, coef, x, y):
+    """det(H / 2)."""
+    _, _, _, hxx, hxy, hyy = derivatives2(frame, child, coef, x, y)
+    return 0.25 * (hxx * hyy - hxy * hxy)
+
+
+@compiled
 def _crossed(frame, child, coef, ax, ay, ux, uy, vx, vy):
     """Whether det H changes its sign between corners, middles of edges and the centre."""
     signs = 0
@@ -150,21 +157,12 @@ def _crossed(frame, child, coef, ax, ay, ux, uy, vx, vy):
         p, q = 0.5 * (i % 3), 0.5 * (i // 3)
         if i == 5:
             p, q = 1.0 / 3.0, 1.0 / 3.0
-        _, _, _, hxx, hxy, hyy = derivatives2(
-            frame, child, coef, ax + p * ux + q * vx, ay + p * uy + q * vy
-        )
-        signs |= 1 if hxx * hyy > hxy * hxy else 2
+        d = _det(frame, child, coef, ax + p * ux + q * vx, ay + p * uy + q * vy)
+        signs |= 1 if d > 0.0 else 2
     return signs == 3
 
 
-@allocating
-def _det(frame, child, coef, x, y):
-    """det(H / 2)."""
-    _, _, _, hxx, hxy, hyy = derivatives2(frame, child, coef, x, y)
-    return 0.25 * (hxx * hyy - hxy * hxy)
-
-
-@allocating
+@compiled
 def _of_part(frame, child, coef, x, y, ux, uy, vx, vy, tol):
     """Mean density of H over the triangle of x + u and x + v, and whether det H changes its sign.
 
@@ -190,7 +188,7 @@ def _of_part(frame, child, coef, x, y, ux, uy, vx, vy, tol):
     return total / 3.0, False
 
 
-@allocating
+@compiled
 def _of_limited(frame, child, coef, x, y, ux, uy, vx, vy, tol, floor):
     """The same in the limited metric, by the rule alone."""
     total, signs = 0.0, 0.0
@@ -205,7 +203,7 @@ def _of_limited(frame, child, coef, x, y, ux, uy, vx, vy, tol, floor):
     return total / 3.0, abs(signs) < 3.0
 
 
-@allocating
+@compiled
 def _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor):
     """Sum of the mean densities of n^2 parts of a triangle, and whether det H changes its sign."""
     total, mixed = 0.0, False
@@ -231,7 +229,7 @@ def _summed(frame, child, coef, ax, ay, ux, uy, vx, vy, n, tol, floor):
     return total, mixed
 
 
-@allocating
+@compiled
 def _integrate(frame, child, coef, points, triangles, depth, tol, floor, first, last, out):
     """Lattice triangles over each of the triangles ``first`` ... ``last`` into ``out``.
 

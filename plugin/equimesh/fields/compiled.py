@@ -32,7 +32,7 @@ def compiled(kernel: Callable[..., Any]) -> Any:
 
 
 def allocating(kernel: Callable[..., Any]) -> Any:
-    """A compiled kernel that makes arrays."""
+    """A compiled kernel that may make arrays, or hand them on to one that does."""
     return _made(kernel, _HOW)
 
 

@@ -55,7 +55,8 @@ def _list_edges(ends, free, beyond, places):
 
 @compiled
 def _multiply(diagonal, first, beyond, blocks, damping, d, q, start, stop):
-    """Q = the damped matrix times d in rows ``start`` ... ``stop``; returns their part of d q."""
+    """Rows ``start`` ... ``stop`` of the damped matrix times d, into q; returns their part of
+    d q."""
     more, total = 1.0 + damping, 0.0
     for v in range(start, stop):
         x, y = d[v, 0], d[v, 1]
@@ -103,7 +104,10 @@ def _turn(z, share, d, start, stop):
 
 @compiled
 def _solve_alone(diagonal, first, beyond, blocks, damping, d, q, step, r, z):
-    """``solve`` in one thread, from the residual in r and zeros."""
+    """``solve`` in one thread, from the residual in r and zeros.
+
+    On a small mesh Python between the kernels would take longer than they do.
+    """
     n = step.shape[0]
     rz = least = _advance(diagonal, damping, 0.0, d, q, step, r, z, 0, n)
     least *= _SMALL

@@ -50,6 +50,7 @@ SETTLE, SPREAD, EVEN, SOFT, FIRM, HARD = 0, 1, 2, 3, 4, 5
 ) = range(13)
 
 
+# Journal and scratch, which mean nothing between two changes.
 _PASSING = {
     "log_ti", "log_tf", "log_vi", "log_vf", "lost_t", "lost_v", "ring", "work", "hole_i", "hole_f",
 }  # fmt: skip

@@ -183,13 +183,12 @@ def _add(m, first, last, slopes, shares, number, diagonal, places, blocks, downh
             for i in range(3):
                 j, n = (i + 1) % 3, number[t, i]
                 low, high = (i, j) if m.tv[t, i] < m.tv[t, j] else (j, i)
-                for side in range(2):  # the row of either end
-                    block, other = blocks[places[n, side]], high
-                    if side == 1:
-                        low, other = high, low
+                for side in range(2):
+                    block = blocks[places[n, side]]
+                    row, column = (low, high) if side == 0 else (high, low)
                     for p in range(2):
-                        block[2 * p] += by_twice * g[low, p] * g[other, 0]
-                        block[2 * p + 1] += by_twice * g[low, p] * g[other, 1]
+                        block[2 * p] += by_twice * g[row, p] * g[column, 0]
+                        block[2 * p + 1] += by_twice * g[row, p] * g[column, 1]
 
 
 class System:
