@@ -31,9 +31,7 @@ FLOOR = 1e-12
 
 def field_of(f):
     p = fit_patches(f, shapely.box(-1, -1, 1, 1), 1e-9)
-    return KernelField(
-        PATCHES, frame=np.array([*p.origin, p.side, 1.0]), child=p.child, coef=p.coef
-    )
+    return KernelField(PATCHES, frame=p.frame, child=p.child, coef=p.coef, kinks=p.kinks)
 
 
 def frame_of(field, x, y, tol, floor=FLOOR):

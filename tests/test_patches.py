@@ -33,9 +33,7 @@ TEXTS = ["exp(3*x)*sin(3*y)", "1/(x**2+y**2+1/4)", "tanh(8*(x-y**2))", FRANKE]
 
 def field_of(f, tol, domain=SQUARE):
     p = fit_patches(f, domain, tol)
-    return KernelField(
-        PATCHES, frame=np.array([*p.origin, p.side, 1.0]), child=p.child, coef=p.coef
-    )
+    return KernelField(PATCHES, frame=p.frame, child=p.child, coef=p.coef, kinks=p.kinks)
 
 
 def polynomial(seed, degree=5):
@@ -107,10 +105,11 @@ def test_cells_are_small_only_along_a_layer():
     assert 3 * count[1] < count[2] < 7 * count[1]
 
 
-def test_a_jump_is_told_from_what_is_resolved():
+def test_a_jump_is_no_kink():
     jump = fit_patches(lambda x, y: (x > 0.3) * 1.0, SQUARE, 1e-6, max_depth=7)
-    assert not jump.resolved
     assert np.isfinite(jump.coef).all()
+    assert jump.smooth == len(jump.coef)  # no kink: nothing is gained by a close look at it
+    assert not jump.kinks.any()
 
 
 def test_a_function_that_ends_at_the_outline_is_fitted_inside():

@@ -90,9 +90,9 @@ def frame_at(frame, child, coef, x, y, eight_tol, floor):
     if m1 < floor or m2 < floor:
         pure = False
         m1, m2 = max(m1, floor), max(m2, floor)
-    if frame.shape[0] > 4 and max(m1, m2) > frame[4] * min(m1, m2):
+    if frame.shape[0] > 5 and max(m1, m2) > frame[5] * min(m1, m2):
         pure = False
-        m1, m2 = max(m1, m2 / frame[4]), max(m2, m1 / frame[4])
+        m1, m2 = max(m1, m2 / frame[5]), max(m2, m1 / frame[5])
     s1, s2 = 1.0 / math.sqrt(m1), 1.0 / math.sqrt(m2)
     return s1 * vx, s1 * vy, -s2 * vy, s2 * vx, eps, pure
 

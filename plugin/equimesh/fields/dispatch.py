@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from equimesh.fields import patch_kernels, raster_kernels, surface_kernels
+from equimesh.fields import kink_kernels, patch_kernels, raster_kernels, surface_kernels
 from equimesh.fields.compiled import outlined
 from equimesh.fields.kernel import PATCHES, RASTER
 
@@ -33,7 +33,7 @@ def gradient(F, x, y):
 def edge_error(F, ax, ay, az, bx, by, bz, stop):
     """Signed largest error on an edge and its parameter s; any error above ``stop`` will do."""
     if F.kind == PATCHES:
-        return patch_kernels.edge_error(F, ax, ay, az, bx, by, bz, stop)
+        return kink_kernels.edge_error(F, ax, ay, az, bx, by, bz, stop)
     if F.kind == RASTER:
         return raster_kernels.edge_error(F, ax, ay, az, bx, by, bz, stop)
     return surface_kernels.edge_error(F, ax, ay, az, bx, by, bz, stop)
@@ -43,7 +43,7 @@ def edge_error(F, ax, ay, az, bx, by, bz, stop):
 def inner_error(F, ax, ay, az, bx, by, bz, cx, cy, cz, stop):
     """Signed largest error strictly inside a triangle and where; any above ``stop`` will do."""
     if F.kind == PATCHES:
-        return patch_kernels.inner_error(F, ax, ay, az, bx, by, bz, cx, cy, cz, stop)
+        return kink_kernels.inner_error(F, ax, ay, az, bx, by, bz, cx, cy, cz, stop)
     if F.kind == RASTER:
         return raster_kernels.inner_error(F, ax, ay, az, bx, by, bz, cx, cy, cz, stop)
     return surface_kernels.inner_error(F, ax, ay, az, bx, by, bz, cx, cy, cz, stop)

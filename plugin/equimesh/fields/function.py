@@ -161,9 +161,10 @@ class Function:
         patches = fit_patches(local, frame.geometry_to_local(domain), _PATCH_SHARE * tol)
         return KernelField(
             PATCHES,
-            frame=np.array([*patches.origin, patches.side, 1.0]),
+            frame=patches.frame,
             child=patches.child,
             coef=patches.coef,
+            kinks=patches.kinks,
         )
 
     def errors(

@@ -27,12 +27,14 @@ class KernelField(NamedTuple):
 
     kind: int
     # Scalars of the kind: origin and size of its index; for PATCHES also the share of the tolerance
-    # that a vertex may take up where f is convex or concave, plus one (``two_sided``), and, where
-    # angles have a floor, the largest ratio of the lattice's eigenvalues (``angled``).
+    # that a vertex may take up where f is convex or concave, plus one (``two_sided``), the number
+    # of leaves without a kink, and, where angles have a floor, the largest ratio of the lattice's
+    # eigenvalues (``angled``).
     frame: NDArray[np.float64] = np.empty(0)
     grid: NDArray[np.float64] = np.empty((0, 0))  # RASTER: heights [row, column]
     child: NDArray[np.int32] = np.empty((0, 4), np.int32)  # PATCHES: quadtree
     coef: NDArray[np.float64] = np.empty((0, 0, 0))  # PATCHES: polynomials of the leaves
+    kinks: NDArray[np.uint8] = np.empty(0, np.uint8)  # PATCHES: quadrants of a node with a kink
     points: NDArray[np.float64] = np.empty((0, 3))  # SURFACE: vertices
     triangles: NDArray[np.int32] = np.empty((0, 3), np.int32)  # SURFACE: triangles
     vertex_start: NDArray[np.int32] = np.empty(0, np.int32)  # SURFACE: cell -> its vertices (CSR)

@@ -64,7 +64,7 @@ def value(F, x, y):
 
 @outlined
 def derivatives2(frame, child, coef, x, y):
-    """f, f_x, f_y, f_xx, f_xy, f_yy."""
+    """f, f_x, f_y, f_xx, f_xy, f_yy; second derivatives are 0 beside a kink."""
     leaf, s, t, half = locate(frame, child, x, y)
     c = coef[leaf]
     f = fs = ft = fss = fst = ftt = 0.0
@@ -81,13 +81,17 @@ def derivatives2(frame, child, coef, x, y):
         fs = fs * t + p1
         fss = fss * t + 2.0 * p2
     r = 1.0 / half
+    if leaf >= frame[4]:
+        return f, fs * r, ft * r, 0.0, 0.0, 0.0
     return f, fs * r, ft * r, fss * r * r, fst * r * r, 2.0 * ftt * r * r
 
 
 @compiled
 def derivatives3(frame, child, coef, x, y):
-    """f_xx, f_xy, f_yy, f_xxx, f_xxy, f_xyy, f_yyy."""
+    """f_xx, f_xy, f_yy, f_xxx, f_xxy, f_xyy, f_yyy; all are 0 beside a kink."""
     leaf, s, t, half = locate(frame, child, x, y)
+    if leaf >= frame[4]:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     c = coef[leaf]
     f = ft = ftt = fttt = fs = fst = fstt = fss = fsst = fsss = 0.0
     for j in range(7, -1, -1):

@@ -4,12 +4,17 @@ A quadtree over the domain's box; a cell is accepted when the trailing Chebyshev
 on it are below a small share of the tolerance. Callables of any language feature thus become plain
 arrays, with derivatives to the third order at hand, and the optimiser never calls back into Python.
 The certificate of a mesh is always computed from f itself.
+
+Where f has a kink no polynomial is accurate, and second derivatives of one that is just good enough
+say nothing. Coefficients of a smooth function fall by a power of two for every degree when a cell
+is halved; across a kink the last ones only halve. The leaves where they do so are known as such.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -25,6 +30,14 @@ Array = NDArray[np.float64]
 DEGREE = 7
 _NODES = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
 _TO_CHEBYSHEV = np.linalg.inv(chebyshev.chebvander(_NODES, DEGREE))
+# A kink leaves a 16th of the last coefficients when a cell is halved so often, or little less; of a
+# smooth function's hardly a millionth is left,
+_SIZES, _SLOW = 4, 128.0
+# and the last two degrees as large as this beside the two before, where they are more than nothing
+# in units of the tolerance.
+_WAVY, _NOTHING = 0.25, 1e-4
+_JUMP = 1e3  # units of the tolerance: what is left of a jump, however small the cell
+_QUADRANTS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 _TO_POWERS = np.array(
     [np.pad(chebyshev.cheb2poly([0.0] * k + [1.0]), (0, DEGREE - k)) for k in range(DEGREE + 1)]
 ).T
@@ -36,14 +49,21 @@ class Patches:
 
     ``origin`` (2,), ``side``: the square that the root covers. ``child`` (n, 4) int32: node, or
     -(leaf + 1), of the quadrants (left bottom, right bottom, left top, right top). ``coef``
-    (leaves, 8, 8): coefficients of s**i t**j. ``resolved``: every leaf met the tolerance.
+    (leaves, 8, 8): coefficients of s**i t**j. ``smooth``: so many leaves have no kink; they come
+    first. ``kinks`` (n,) uint8: sum of 2**quadrant over the quadrants of a node with a kink.
     """
 
     origin: Array
     side: float
     child: NDArray[np.int32]
     coef: Array
-    resolved: bool
+    smooth: int
+    kinks: NDArray[np.uint8]
+
+    @property
+    def frame(self) -> Array:
+        """(5,) the scalars that kernels ask for, see ``KernelField``."""
+        return np.array([*self.origin, self.side, 1.0, self.smooth])
 
 
 def fit_patches(
@@ -65,35 +85,82 @@ def fit_patches(
     side = max(xmax - xmin, ymax - ymin) * (1.0 + 1e-12)
     origin = np.array([xmin, ymin])
     shapely.prepare(domain)
-    child: list[list[int]] = [[0, 0, 0, 0]]
+    # Level by level: nodes, and the leaves that end there.
+    levels: list[NDArray[np.int64]] = [np.zeros((1, 4), np.int64)]
     coefs: list[Array] = []
-    parents, quadrants = np.zeros(4, np.int64), np.arange(4)
-    corners = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [0.5, 0.5]])
-    resolved, leaves = True, 0
+    kinked: list[NDArray[np.bool_]] = []
+    nodes, leaves = 1, 0
+    corners = 0.5 * _QUADRANTS
+    tails = np.full((_SIZES, 4), np.inf)  # of the larger cells around each, the largest first
     for depth in range(1, max_depth + 1):
         width = 0.5**depth
-        fitted, good = _fit_cells(f, domain, origin + side * corners, side * width, tol)
-        room = leaves + 4 * int((~good).sum()) <= max_leaves
+        cells = _fit_cells(f, domain, origin + side * corners, side * width, tol)
+        room = leaves + 4 * int((~cells.good).sum()) <= max_leaves
         last = depth == max_depth or not room
-        resolved &= bool(good.all()) or not last
-        good |= last
-        for cell in np.flatnonzero(good):
-            child[parents[cell]][quadrants[cell]] = -(leaves + 1)
-            coefs.append(fitted[cell])
-            leaves += 1
-        split = np.flatnonzero(~good)
+        ends = cells.good | last
+        # What a kink leaves in a cell that it hardly enters is less than in its neighbours.
+        usual = np.maximum(tol, 0.25 * tails[-1]) if last else tol
+        slow = (tails[0] < _SLOW * np.maximum(cells.tail, usual)) & (cells.tail < _JUMP * tol)
+        kinked.append((cells.wavy & slow)[ends])
+        coefs.append(cells.coef[ends])
+        split = np.flatnonzero(~ends)
+        below = levels[-1].reshape(-1)  # a view: what the last level's nodes lead to
+        below[ends] = -(leaves + 1 + np.arange(len(coefs[-1])))
+        below[split] = nodes + np.arange(len(split))
+        leaves += len(coefs[-1])
         if len(split) == 0:
             break
-        for cell in split:
-            child[parents[cell]][quadrants[cell]] = len(child)
-            child.append([0, 0, 0, 0])
-        first = len(child) - len(split)
-        parents = np.repeat(np.arange(first, len(child)), 4)
-        quadrants = np.tile(np.arange(4), len(split))
-        offsets = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * (0.5 * width)
-        corners = (corners[split, None, :] + offsets).reshape(-1, 2)
-    coef = np.ascontiguousarray(np.array(coefs))
-    return Patches(origin, side, np.array(child, np.int32), coef, resolved)
+        levels.append(np.zeros((len(split), 4), np.int64))
+        nodes += len(split)
+        corners = (corners[split, None, :] + 0.5 * width * _QUADRANTS).reshape(-1, 2)
+        tails = np.repeat(np.vstack([tails[1:], cells.tail])[:, split], 4, axis=1)
+    return _kinks_last(origin, side, levels, np.concatenate(coefs), np.concatenate(kinked))
+
+
+def _kinks_last(
+    origin: Array,
+    side: float,
+    levels: list[NDArray[np.int64]],
+    coef: Array,
+    kinked: NDArray[np.bool_],
+) -> Patches:
+    """The quadtree with the leaves that have a kink at the end, which the nodes above them know."""
+    order = np.argsort(kinked, kind="stable")
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    child = np.concatenate(levels)
+    leaf = child < 0
+    has = np.zeros(child.shape, bool)
+    has[leaf] = kinked[-child[leaf] - 1]
+    child[leaf] = -(place[-child[leaf] - 1] + 1)
+    if kinked.any():
+        last = len(child)
+        for level in reversed(levels):
+            here = slice(last - len(level), last)
+            inner = child[here] > 0
+            has[here][inner] = has[child[here][inner]].any(1)
+            last -= len(level)
+    return Patches(
+        origin,
+        side,
+        child.astype(np.int32),
+        np.ascontiguousarray(coef[order]),
+        int((~kinked).sum()),
+        (has @ np.array([1, 2, 4, 8])).astype(np.uint8),
+    )
+
+
+class _Cells(NamedTuple):
+    """Polynomials of k cells: (k, 8, 8) coefficients, and (k,) each of the rest.
+
+    ``good``: accurate; ``tail``: how large the last Chebyshev coefficients are; ``wavy``: not
+    small beside those before them, and of a size that matters.
+    """
+
+    coef: Array
+    good: NDArray[np.bool_]
+    tail: Array
+    wavy: NDArray[np.bool_]
 
 
 def _fit_cells(
@@ -102,16 +169,18 @@ def _fit_cells(
     corners: Array,
     width: float,
     tol: float,
-) -> tuple[Array, NDArray[np.bool_]]:
-    """(k, 8, 8) power coefficients on k square cells, and which of them are accurate."""
+) -> _Cells:
+    """Polynomials in powers of s and t on k square cells."""
     count, n = len(corners), DEGREE + 1
-    coef, good = np.zeros((count, n, n)), np.ones(count, bool)
+    cells = _Cells(
+        np.zeros((count, n, n)), np.ones(count, bool), np.zeros(count), np.zeros(count, bool)
+    )
     slack = 0.05 * width
     low, high = corners - slack, corners + width + slack
     inside = shapely.intersects(domain, shapely.box(*low.T, *high.T))
     live = np.flatnonzero(inside)
     if len(live) == 0:
-        return coef, good
+        return cells
     x = corners[live, 0, None, None] + 0.5 * width * (1.0 + _NODES[None, :, None])
     y = corners[live, 1, None, None] + 0.5 * width * (1.0 + _NODES[None, None, :])
     x, y = (np.ascontiguousarray(a) for a in np.broadcast_arrays(x, y))
@@ -120,15 +189,20 @@ def _fit_cells(
     bad = ~np.isfinite(z).all(axis=(1, 2))
     whole = np.flatnonzero(~bad)
     cheb = np.einsum("ia,kab,jb->kij", _TO_CHEBYSHEV, z[whole], _TO_CHEBYSHEV, optimize=True)
-    tail = np.maximum(np.abs(cheb[:, -2:, :]).sum((1, 2)), np.abs(cheb[:, :, -2:]).sum((1, 2)))
+    size = np.abs(cheb)
+    along = np.array([size[:, -2:, :].sum((1, 2)), size[:, :, -2:].sum((1, 2))])
+    before = np.array([size[:, -4:-2, :].sum((1, 2)), size[:, :, -4:-2].sum((1, 2))])
+    tail = along.max(0)
     fitted[whole] = cheb
     accurate = np.zeros(len(live), bool)
     accurate[whole] = tail <= tol
+    cells.tail[live[whole]] = tail
+    cells.wavy[live[whole]] = ((along > _WAVY * before) & (along > _NOTHING * tol)).any(0)
     for cell in np.flatnonzero(bad):
         fitted[cell], accurate[cell] = _fit_partly(x[cell], y[cell], z[cell], domain, tol)
-    coef[live] = np.einsum("ia,kab,jb->kij", _TO_POWERS, fitted, _TO_POWERS, optimize=True)
-    good[live] = accurate
-    return coef, good
+    cells.coef[live] = np.einsum("ia,kab,jb->kij", _TO_POWERS, fitted, _TO_POWERS, optimize=True)
+    cells.good[live] = accurate
+    return cells
 
 
 def _sample(f: Callable[[Array, Array], Array], x: Array, y: Array) -> Array:
