@@ -178,7 +178,8 @@ def remesh(
         if len(bad) == 0:
             break
         with stages.stage("optimise"):
-            mesh = repair(kernel, mesh, start.aim, slots[bad])
+            errors = profile.bounds[bad] / height
+            mesh = repair(kernel, mesh, start.aim, slots[bad], errors)
         with stages.stage("certify"):
             row = np.full(len(mesh.tv), -1)
             row[slots] = np.arange(len(slots))

@@ -30,6 +30,9 @@ _REMAINDER = 0.3
 # Remainder that is let be, as a share of the largest error; the second where a limit is to be kept.
 _TIGHT, _TIGHT_ENOUGH = 0.001, 0.004
 _DEPTH = 4
+# Across a kink the remainder only halves with the samples' distance: where that leaves open whether
+# a limit is kept, and pieces of triangles are few, they may be finer.
+_DEEPEST, _PIECES = 8, 4
 _ROUNDS = 3 * _DEPTH  # the largest error falls on the way, and others come into question
 
 
@@ -67,6 +70,9 @@ def sampled_errors(
         # The model may be off either way by as much as its remainder.
         open_case = (fine_bound > limit) & (2.0 * fine - fine_bound <= limit)
         todo = (loose | open_case) & (depth < _DEPTH)
+        deeper = open_case & (depth >= _DEPTH) & (depth < _DEEPEST)
+        if limit > 0.0 and deeper.sum() < _PIECES * len(triangles):
+            todo |= deeper
         if not todo.any():
             break
         # What a coarser model said is replaced: the pieces know better.

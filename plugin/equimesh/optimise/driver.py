@@ -67,6 +67,7 @@ _PRESSES = 4  # rounds of pressing on Hermite's errors, which are cheap
 _STRAINED = 16  # moves of each vertex that strain is evened out by
 _SPREADING = 8  # moves of each vertex that violations of a large mesh are spread by
 _SCATTER = 1_500  # triangles below which a round and a cycle pay in any case: numbers vary much
+_LOUDEST = 2.0  # share by which errors are multiplied, at most, where they were underestimated
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Hermite's formula.
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
@@ -264,12 +265,28 @@ def optimise(
     return mesh, good
 
 
-def repair(field: KernelField, mesh: Mesh, tol: float, slots: NDArray[np.int64]) -> Mesh:
-    """Split the triangles in ``slots``, whose errors a closer look found too large."""
+def repair(
+    field: KernelField,
+    mesh: Mesh,
+    tol: float,
+    slots: NDArray[np.int64],
+    errors: NDArray[np.float64],
+) -> Mesh:
+    """Mend the triangles in ``slots``, whose ``errors`` a closer look found too large.
+
+    ``errors`` in units of the tolerance. From now on errors at their corners count for as much
+    more; a triangle that yet seems to keep the tolerance is split.
+    """
     if room(mesh) < 8 * len(slots) + 1000:
         mesh = enlarged(mesh)
+    corners = mesh.tv[slots]
+    moved = np.zeros(len(mesh.x), np.uint8)
+    moved[corners] = 1
+    np.maximum.at(mesh.share, corners, (mesh.share[corners] * errors[:, None]).clip(1.0, _LOUDEST))
+    evaluate_all(field, mesh, tol, moved)
     queue = make_queue(len(mesh.x))
-    split_listed(field, mesh, tol, queue, slots)
+    split_listed(field, mesh, tol, queue, slots[worst_errors(mesh)[slots] <= 1.0])
+    relax_all(field, mesh, tol, queue, 40)
     return _lower_errors(field, mesh, tol, queue)
 
 
