@@ -71,7 +71,7 @@ def lattice_points(
         insert(tree, link, used, box, px, py, i)
     segments = np.hstack([sides.corners, sides.corners[sides.following]])
     strips = strips_of(segments)
-    seeds = _halton(max(64, 2 * expected)) * (high - low) + low
+    seeds = _halton(max(64, 2 * expected, turn + 1)) * (high - low) + low
     seeds = np.hstack([seeds, np.zeros((len(seeds), 1))])
     seeds[:, 2] = math.fmod(_GOLDEN * turn, 1.0) * _PERIOD
     seeds[[0, turn]] = seeds[[turn, 0]]
