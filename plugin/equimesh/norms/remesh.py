@@ -15,6 +15,7 @@ from equimesh.domain import DomainLike, domain_geometry
 from equimesh.errors import InputError
 from equimesh.fields import Source, as_field
 from equimesh.fields.base import Field
+from equimesh.fields.kink_kernels import sharpest
 from equimesh.norms.densities import POWERS, constants, least_triangles, patch_hessian
 from equimesh.norms.measure import norm_profile
 from equimesh.result import Result, Status
@@ -31,6 +32,9 @@ NORMS = ("max", "L1", "L2", "gradient")
 _RUNS = 8
 _CLOSE, _AIM = 0.97, 0.985  # of the tolerance: near enough, and what a run aims at
 _BLEND = 0.1  # of the limited determinant: where det H is as small, its sign counts half
+_STALLED = 0.9  # of the last error: with over twice the triangles it should be far less
+_LOOK = 1e-2  # of the range of z: the tolerance whose patches are to tell kinks
+_SHARP = 3.0  # tolerances: a jump of the gradient that no mesh of any use goes across
 _FEWEST = 8.0  # triangles of a first run
 _FACTOR = 8.0  # from one run's triangles to the next one's, at most
 
@@ -72,6 +76,8 @@ def remesh_norm(
     if surface.size != "function":
         raise InputError(f"norm={norm!r} is for functions: leave it out for rasters and surfaces.")
     low, high = surface.span(geometry)
+    if norm == "gradient" and high > low:
+        _refuse_kinks(surface, geometry, height, high - low)
     least = least_triangles(surface, geometry, norm, height)
     count = max(_FEWEST, 1.1 * least)
     metric = norm_metric(surface, geometry, norm, count)
@@ -79,6 +85,7 @@ def remesh_norm(
     rate = 1.0 if norm in POWERS else 2.0
     seconds: dict[str, float] = {}
     best: Result | None = None
+    last, stalled = math.inf, 0
     for _ in range(_RUNS):
         mesh = remesh_metric(
             metric, worth / count, domain, effort=effort, seed=seed, progress=progress
@@ -94,8 +101,11 @@ def remesh_norm(
             break
         factor = (value / (_AIM * height)) ** rate
         following = max(2.0, count * min(max(factor, 1.0 / _FACTOR), _FACTOR))
-        if following == count:
+        # A gradient that jumps stays wrong however small the triangles are that cross the kink.
+        stalled = stalled + 1 if value > _STALLED * last else 0
+        if following == count or stalled == 2:
             break
+        last = value if following > 2.0 * count else math.inf
         count = following
     assert best is not None
     return dataclasses.replace(best, timings=seconds)
@@ -120,6 +130,19 @@ def _checked(norm: str, tol: float | str | None, domain: DomainLike, others: Any
             "A function has no domain of its own: give domain=(xmin, ymin, xmax, ymax)."
         )
     return height
+
+
+def _refuse_kinks(surface: Field, geometry: shapely.Geometry, tol: float, span: float) -> None:
+    """Triangles that cross a kink miss half the gradient's jump, however small they are."""
+    kernel, frame = surface.kernel(geometry, _LOOK * span), surface.frame(geometry)
+    jump, x, y = sharpest(kernel)
+    jump /= math.sqrt(abs(frame.determinant))
+    if jump > _SHARP * tol:
+        px, py = frame.to_user(np.array([[x, y]]))[0]
+        raise InputError(
+            f"The function has a kink near ({px:.6g}, {py:.6g}), where its gradient jumps by about "
+            f"{jump:.2g}: give norm='max', 'L1' or 'L2', or mesh either side of it by itself."
+        )
 
 
 def norm_metric(surface: Field, geometry: shapely.Geometry, norm: str, count: float) -> Metric:
