@@ -175,3 +175,11 @@ def test_a_profile_measures_again_only_what_moved(monkeypatch):
 def test_more_triangles_than_memory_holds_are_refused_at_once(effort):
     with pytest.raises(equimesh.InputError, match="asks for about"):
         equimesh.remesh(FRANKE, 1e-9, UNIT, effort=effort)
+
+
+def test_only_meshes_that_are_small_beside_what_they_show_are_refined():
+    # Ten waves each way: a quarter of these triangles does not tell where the saddles end.
+    result = equimesh.remesh("sin(15*x)*cos(15*y)", 0.01, (-1, -1, 1, 1), effort="fast")
+    assert result.status.ok
+    assert len(result.triangles) > 12_000
+    assert len(result.triangles) <= 1.05 * result.lower_bound

@@ -37,6 +37,7 @@ __all__ = ["best_drafts", "finished"]
 _SEAMS = 0.08  # above this share of violated triangles a lattice had better be annealed
 # Errors to anneal lattices for, in units of the tolerance; the denser the lattice, the lower.
 _ERRORS = (0.93, 0.95, 0.94)
+_MISSING = 0.008  # of a coarse mesh's triangles: with more its refinements are worse than new ones
 _FITTING = 4  # as many lattices cost what one that must be annealed does
 
 
@@ -60,9 +61,9 @@ def best_drafts(
         expected = job.expected(tol)
         how = nested_for(effort, expected)
         if how is not None:
-            levels = math.floor(math.log(expected / how.least, 4.0))
+            levels = job.levels(tol, math.floor(math.log(expected / how.least, 4.0)))
             coarse = tol * 4.0**levels * how.error
-            if not job.fits(job.lattice(coarse)):
+            if levels > 0 and not job.fits(job.lattice(coarse)):
                 return [job.nested(tol, coarse, levels, how, report)]
     lattice = job.lattice(tol)
     if kernel.kind != PATCHES or lattice.settled:
@@ -87,6 +88,19 @@ class _Job:
         if tol not in self.sizes:
             self.sizes[tol] = expected_triangles(self.kernel, self.sides, self.frame, tol)
         return self.sizes[tol]
+
+    def levels(self, tol: float, most: int) -> int:
+        """How often a mesh may be refined for ``tol``, at most ``most`` times.
+
+        The smallest mesh must be small beside what it shows. If it is, a quarter of the tolerance
+        takes four times the triangles. How many are missing halves with every refinement: they are
+        the triangles along lines where det H = 0, which is no line in the limited metric.
+        """
+        size = self.expected(tol)
+        missing = 1.0 - size / (4.0**most * self.expected(4.0**most * tol))
+        while most > 0 and missing > _MISSING:
+            most, missing = most - 1, 0.5 * missing
+        return most
 
     def lattice(self, tol: float, error: float | None = None, turn: int = 0) -> FirstMesh:
         return first_mesh(
