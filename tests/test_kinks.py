@@ -89,8 +89,8 @@ def test_kinks_lie_where_they_are_and_all_along():
     angles = np.sort(np.arctan2(middle[:, 1], middle[:, 0]))
     gaps = np.diff(angles)
     wide = gaps > 4.0 * cells[:, 2].max() / math.sqrt(0.5)
-    # A kink that runs along cells' sides, nearer to them than any sample, is not seen nor missed.
-    assert gaps[wide].sum() <= 0.01
+    # Where it cuts no more than a corner from a cell, outside all samples, it is not seen.
+    assert gaps[wide].sum() <= 0.01 * 2.0 * math.pi
 
 
 def test_second_derivatives_beside_a_kink_say_nothing_and_elsewhere_all():
