@@ -96,8 +96,11 @@ class _Job:
         takes four times the triangles. How many are missing halves with every refinement: they are
         the triangles along lines where det H = 0, which is no line in the limited metric.
         """
+        if most < 1:
+            return 0
         size = self.expected(tol)
-        missing = 1.0 - size / (4.0**most * self.expected(4.0**most * tol))
+        fewer = 1.0 - size / (4.0**most * self.expected(4.0**most * tol))
+        missing = fewer / (1.0 - 0.5**most)  # of the smallest; the largest lacks some as well
         while most > 0 and missing > _MISSING:
             most, missing = most - 1, 0.5 * missing
         return most
