@@ -46,10 +46,10 @@ def inner_error(F, ax, ay, az, bx, by, bz, cx, cy, cz, stop):
     bottom, top = min(ay, by, cy), max(ay, by, cy)
     size = max(right - left, top - bottom)
     if not (
-        _around(F, left, bottom, size)
-        or _around(F, right, bottom, size)
-        or _around(F, left, top, size)
-        or _around(F, right, top, size)
+        _cell(F, left, bottom, size)[0]
+        or _cell(F, right, bottom, size)[0]
+        or _cell(F, left, top, size)[0]
+        or _cell(F, right, top, size)[0]
     ):
         return e, x, y
     for _ in range(3):
@@ -65,32 +65,13 @@ def inner_error(F, ax, ay, az, bx, by, bz, cx, cy, cz, stop):
 
 
 @compiled
-def _around(F, px, py, size):
-    """Whether the smallest cell around a point that is not smaller than ``size`` has a kink."""
+def _cell(F, px, py, size):
+    """Whether the smallest cell around a point that is not smaller than ``size`` has a kink; its
+    corner and side, or those of the largest cell around the point that has none."""
     x, y, side, node = F.frame[0], F.frame[1], F.frame[2], 0
-    while F.kinks[node] > 0:
-        side *= 0.5
-        if side < size:
-            return True
-        column, row = px >= x + side, py >= y + side
-        quadrant = column + 2 * row
-        if (F.kinks[node] >> quadrant) & 1 == 0:
-            return False
-        x, y = x + side * column, y + side * row
-        node = F.child[node, quadrant]
-        if node < 0:
-            return True
-    return False
-
-
-@compiled
-def _cell(F, px, py):
-    """Whether the leaf around a point has a kink; corner and side of it, or of the largest cell
-    around the point that has none."""
-    x, y, side, node = F.frame[0], F.frame[1], F.frame[2], 0
-    while True:
-        if F.kinks[node] == 0:
-            return False, x, y, side
+    if F.kinks[node] == 0:
+        return False, x, y, side
+    while node >= 0 and 0.5 * side >= size:
         side *= 0.5
         column, row = px >= x + side, py >= y + side
         x, y = x + side * column, y + side * row
@@ -98,8 +79,7 @@ def _cell(F, px, py):
         if (F.kinks[node] >> quadrant) & 1 == 0:
             return False, x, y, side
         node = F.child[node, quadrant]
-        if node < 0:
-            return True, x, y, side
+    return True, x, y, side
 
 
 @compiled
@@ -108,7 +88,7 @@ def _on_line(F, ax, ay, az, bx, by, bz):
     dx, dy, dz = bx - ax, by - ay, bz - az
     best, where, seen, s = 0.0, 0.5, 0, 0.0
     while s < 1.0:
-        kink, x, y, side = _cell(F, ax + s * dx, ay + s * dy)
+        kink, x, y, side = _cell(F, ax + s * dx, ay + s * dy, 0.0)
         end = 1.0
         if dx != 0.0:
             end = min(end, ((x + side if dx > 0.0 else x) - ax) / dx)

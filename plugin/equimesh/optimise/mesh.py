@@ -65,7 +65,7 @@ class Mesh(NamedTuple):
     z: NDArray[np.float64]
     w: NDArray[np.float64]  # (v,) height above the surface; may differ from 0 where count[HEIGHTS]
     jet: NDArray[np.float64]  # (v, 5) f_x, f_y, f_xx, f_xy, f_yy, where count[MODEL] is on
-    share: NDArray[np.float64]  # (v,) by what errors nearby are multiplied; 1 but in an exchange
+    share: NDArray[np.float64]  # (v,) factor of errors nearby; 1 but in exchanges and repairs
     kind: NDArray[np.int8]  # FREE, SLIDES along its side, FIXED, GONE
     side: NDArray[np.int64]  # row of ``sides`` on which a sliding vertex lies
     v2t: NDArray[np.int64]  # one triangle of each vertex
