@@ -33,6 +33,8 @@ WARM, FRESH, GMSH = 5, 4, 3  # passes for one c: from the last mesh, from a grid
 STEPS = 5  # secant steps towards the largest c
 AROUND = (1.0, 0.88, 0.94, 1.06, 1.12, 1.2, 1.3)  # errors are noisy: tried around the best c
 LOWER = (0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2)  # where none of those keeps the tolerance
+PATIENCE = 20.0  # seconds for a pass of another program; one that ends takes far less than one
+FAILURES = 4  # passes in a row after which a search ends with the best mesh so far
 SAMPLES = 1025  # a side, for greedy insertion
 
 
@@ -144,7 +146,8 @@ def bamg_pass(mesh: Mesh, m: Array, box: tuple[float, ...], ratio: int) -> tuple
         (folder / "a.edp").write_text(_SCRIPT.replace("RATIO", str(ratio)), encoding="ascii")
         subprocess.run(
             ["FreeFem++", "-nw", "-v", "0", "a.edp"],
-            cwd=folder, capture_output=True, check=True, timeout=120,
+            cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=True,
+            timeout=PATIENCE,
         )  # fmt: skip
         seconds = float((folder / "t.txt").read_text())
         words = np.array((folder / "out.msh").read_text().split(), float)
@@ -213,6 +216,7 @@ class _Search:
     found: Found = field(default_factory=Found)
     best: float = np.nan  # its c
     mesh: Mesh | None = None
+    failed: int = 0  # passes in a row
 
     def start(self) -> Mesh:
         n = int(np.clip(0.7 * (0.5 * self.case.least(self.tol, 300)) ** 0.5, 10, 60))
@@ -220,6 +224,8 @@ class _Search:
 
     def attempt(self, c: float) -> float:
         """The largest error over the tolerance after all passes for ``c``; NaN if one fails."""
+        if self.failed >= FAILURES:
+            return np.nan
         mesh = self.start() if self.fresh or self.mesh is None else self.mesh
         error = np.nan
         for _ in range(self.passes):
@@ -229,7 +235,9 @@ class _Search:
             except Exception as problem:  # noqa: BLE001 - whatever another program dies of
                 self.found.faults.append(str(problem)[:80])
                 self.mesh = None
+                self.failed += 1
                 return np.nan
+            self.failed = 0
             mesh = tidy(raw, self.case.box)
             self.found.seconds += seconds
             self.found.passes += 1
