@@ -128,9 +128,11 @@ def _gauge(e1x, e1y, e2x, e2y, eps, w, out):
 
 
 @allocating
-def nearest(tree, link, box, px, py, x, y, w, radius, first):
-    """Smallest metric distance, at most ``radius``, from (x, y) to a point from ``first`` on; and
-    who."""
+def nearest(tree, link, box, px, py, x, y, w, radius, first, any_one):
+    """The point from ``first`` on that is nearest to (x, y) in the metric, at most at ``radius``;
+    -1 where there is none. With ``any_one`` whichever within the radius is found before others:
+    where triangles are huge the whole domain may be near.
+    """
     det = w[0] * w[3] - w[1] * w[2]
     reach_x = radius * math.hypot(w[0], w[1])
     reach_y = radius * math.hypot(w[2], w[3])
@@ -164,8 +166,10 @@ def nearest(tree, link, box, px, py, x, y, w, radius, first):
                     d = u * u + v * v
                     if d < best:
                         best, who = d, point
+                        if any_one:
+                            return who
             point = link[point]
-    return math.sqrt(best), who
+    return who
 
 
 @allocating
@@ -236,7 +240,7 @@ def grow(
             continue
         e1x, e1y, e2x, e2y, eps, _ = frame_at(f, child, coef, x, y, eight_tol, floor)
         out[0], out[1], out[2], out[3] = e1x, e2x, e1y, e2y
-        if nearest(tree, link, box, px, py, x, y, out, 0.95, boundary)[1] >= 0:
+        if nearest(tree, link, box, px, py, x, y, out, 0.95, boundary, True) >= 0:
             continue
         if _near_boundary(tree, link, box, px, py, boundary, following, x, y, out, gap):
             continue
@@ -271,7 +275,7 @@ def grow(
                 x, y = px[here], py[here]
                 w[:] = frames[here]
                 dx, dy = w[0] * l1 + w[1] * l2, w[2] * l1 + w[3] * l2
-                if nearest(tree, link, box, px, py, x + dx, y + dy, w, _THERE, boundary)[1] >= 0:
+                if nearest(tree, link, box, px, py, x + dx, y + dy, w, _THERE, boundary, True) >= 0:
                     continue  # five of six steps lead back to a vertex that is there
                 exact = _geodesic(f, child, coef, x, y, w, l1, l2, 1, step)
                 if exact:
@@ -308,7 +312,7 @@ def grow(
                     continue  # beyond det H = 0 nothing fits: a seed there does better
                 _gauge(e1x, e1y, e2x, e2y, eps, step[2:6], out)
                 limit = merge * (_EDGE_CONVEX if eps > 0 else 1.0)
-                if nearest(tree, link, box, px, py, nx, ny, out, limit, boundary)[1] >= 0:
+                if nearest(tree, link, box, px, py, nx, ny, out, limit, boundary, True) >= 0:
                     continue
                 if _near_boundary(tree, link, box, px, py, boundary, following, nx, ny, out, gap):
                     continue
