@@ -139,9 +139,14 @@ class _Job:
                     best = sorted([*best, start], key=_size)[: how.kept]
                     report(done / number)
             ends = pool.map(
-                lambda start: _with(start, cycled(*self.given(start), self.expected(tol))), best
+                lambda start: self.cycled(start, tol, min(how.cycles, how.cycled // _size(start))),
+                best,
             )
             return sorted(ends, key=_size)
+
+    def cycled(self, start: FirstMesh, tol: float, most: int) -> FirstMesh:
+        """The best of a draft and up to ``most`` more that are made from it."""
+        return _with(start, cycled(*self.given(start), self.expected(tol), most))
 
     def nested(
         self, tol: float, coarse: float, levels: int, how: Nested, report: Report
@@ -159,7 +164,7 @@ class _Job:
             start = _with(
                 start, finer_draft(self.kernel, start.mesh, aim, how, told, last=left == 0)
             )
-        return start
+        return self.cycled(start, tol, how.cycles)
 
     def given(self, start: FirstMesh) -> tuple[KernelField, Mesh, float, str]:
         """What every draft is made from."""

@@ -159,8 +159,10 @@ def finer_draft(
         return mesh
 
 
-def cycled(field: KernelField, mesh: Mesh, tol: float, effort: str, least: float) -> Mesh:
-    """The best of a row of drafts, each made from the best so far by exchanging vertices.
+def cycled(
+    field: KernelField, mesh: Mesh, tol: float, effort: str, least: float, most: int
+) -> Mesh:
+    """The best of a row of up to ``most`` drafts, each made from the best by exchanging vertices.
 
     Exchanges for an error below ``tol`` put vertices where errors are large and take them where
     there is slack, over all the mesh at once; pressing and repair make it keep ``tol`` again. The
@@ -169,7 +171,7 @@ def cycled(field: KernelField, mesh: Mesh, tol: float, effort: str, least: float
     """
     how = EFFORTS[effort]
     best, size, idle = mesh, triangles_in(mesh), 0
-    for number in range(min(how.cycles, how.cycled // size)):
+    for number in range(most):
         if size <= how.goal(least) and (number > 0 or size > _SCATTER):
             break
         error = _LEAST + (1.0 - _LEAST) * math.fmod(_GOLDEN * (number + 1), 1.0)

@@ -35,7 +35,8 @@ class Nested:
     ``above``: triangles from which on that pays; ``least``: below which the smallest is not to
     fall; ``error``: what it is annealed for, in units of its tolerance; ``between``: steps after a
     refinement that others follow; ``last``: after the last. ``thorough``: at last violations are
-    spread before vertices are inserted, and vertices removed.
+    spread before vertices are inserted, and vertices removed. ``cycles``: of exchange and repair
+    after that.
     """
 
     above: float
@@ -44,22 +45,23 @@ class Nested:
     between: tuple[int, ...]
     last: tuple[int, ...]
     thorough: bool
+    cycles: int
 
 
 _NESTED = {
-    "fast": (Nested(16_000, 4_000, 0.91, (SOFT, SOFT), (SOFT, FIRM), thorough=False),),
+    "fast": (Nested(16_000, 4_000, 0.91, (SOFT, SOFT), (SOFT, FIRM), thorough=False, cycles=0),),
     "balanced": (
         Nested(
             48_000, 12_000, 1.0,
             (SOFT, SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
             (SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
-            thorough=True,
+            thorough=True, cycles=1,
         ),
         Nested(
             200_000, 4_000, 0.98,
             (SOFT, SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
             (SOFT, HARD, _EXCHANGE, HARD, HARD, HARD),
-            thorough=True,
+            thorough=True, cycles=0,
         ),
     ),
     "best": (),
