@@ -12,8 +12,10 @@ from scipy.spatial import cKDTree
 from equimesh.boundary import boundary_nodes
 from equimesh.domain import Sides, sides_of
 from equimesh.fields.function import Function
+from equimesh.front import nearest
 from equimesh.lattice import lattice_vectors
 from equimesh.metric import frame_at
+from equimesh.pointtree import insert, make_tree
 from equimesh.seeding import lattice_points
 
 SQUARE = shapely.box(0, 0, 1, 1)
@@ -238,3 +240,38 @@ def test_on_a_curved_metric_no_two_vertices_are_close_and_no_place_is_empty(text
         w = np.array([[e[0], e[2]], [e[1], e[3]]])
         if e[5]:
             assert np.linalg.norm(np.linalg.solve(w, (local - p).T), axis=0).min() <= 1.4
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    number=st.integers(1, 200),
+    first=st.integers(0, 20),
+    stretch=st.floats(-6, 6),
+    angle=st.floats(0, math.pi),
+    radius=st.floats(0.01, 2),
+)
+@example(seed=0, number=200, first=0, stretch=6.0, angle=0.8, radius=1.0)
+def test_neighbours_in_a_metric_are_those_of_a_search_through_all(
+    seed, number, first, stretch, angle, radius
+):
+    random = np.random.default_rng(seed)
+    px, py = random.random((2, number))
+    tree, link, used = make_tree(number)
+    box = np.array([0.0, 0.0, 1.0])
+    for i in range(number):
+        insert(tree, link, used, box, px, py, i)
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    w = 0.1 * turn @ np.diag([math.exp(stretch / 2), math.exp(-stretch / 2)])
+    x, y = random.random(2)
+    offsets = np.linalg.solve(w, np.stack([px - x, py - y]))[:, first:]
+    distances = np.hypot(*offsets)
+    assume(not np.isclose(distances, radius).any())
+    found = [
+        nearest(tree, link, box, px, py, x, y, w.ravel(), radius, first, any_one)
+        for any_one in (False, True)
+    ]
+    if (distances < radius).any():
+        assert found[0] == first + distances.argmin()
+        assert found[1] >= first and distances[found[1] - first] < radius
+    else:
+        assert found == [-1, -1]

@@ -114,7 +114,7 @@ def test_heights_above_the_surface_fall_as_the_tolerance_does():
     )
 
 
-@pytest.mark.parametrize("effort, least, most", [("fast", 20_000, 1.2), ("balanced", 60_000, 1.07)])
+@pytest.mark.parametrize("effort, least, most", [("fast", 45_000, 1.18), ("balanced", 60_000, 1.055)])
 def test_large_curved_meshes_are_refined_and_near_the_lower_bound(monkeypatch, effort, least, most):
     made = []
 
@@ -138,7 +138,7 @@ def test_flat_metrics_need_no_refinement(monkeypatch):
 
 
 def test_fit_best_and_constraints_go_through_refinement():
-    result = equimesh.remesh(FRANKE, 1e-4, UNIT, effort="fast", fit="best", constraints={"a": LINE})
+    result = equimesh.remesh(FRANKE, 4e-5, UNIT, effort="fast", fit="best", constraints={"a": LINE})
     assert result.status.ok
     assert len(result.triangles) < result.lower_bound
     edges = result.points[result.constraints.edges][..., :2]
@@ -179,7 +179,7 @@ def test_more_triangles_than_memory_holds_are_refused_at_once(effort):
 
 def test_only_meshes_that_are_small_beside_what_they_show_are_refined():
     # Ten waves each way: a quarter of these triangles does not tell where the saddles end.
-    result = equimesh.remesh("sin(15*x)*cos(15*y)", 0.01, (-1, -1, 1, 1), effort="fast")
+    result = equimesh.remesh("sin(15*x)*cos(15*y)", 0.002, (-1, -1, 1, 1), effort="fast")
     assert result.status.ok
-    assert len(result.triangles) > 12_000
+    assert len(result.triangles) > 60_000
     assert len(result.triangles) <= 1.05 * result.lower_bound

@@ -49,7 +49,10 @@ class Nested:
 
 
 _NESTED = {
-    "fast": (Nested(16_000, 4_000, 0.91, (SOFT, SOFT), (SOFT, FIRM), thorough=False, cycles=0),),
+    "fast": (
+        Nested(40_000, 4_000, 0.94, (SOFT, SOFT), (SOFT, FIRM), thorough=False, cycles=0),
+        Nested(150_000, 4_000, 0.91, (SOFT, SOFT), (SOFT, FIRM), thorough=False, cycles=0),
+    ),
     "balanced": (
         Nested(
             48_000, 12_000, 1.0,
