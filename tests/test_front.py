@@ -272,6 +272,7 @@ def test_neighbours_in_a_metric_are_those_of_a_search_through_all(
     ]
     if (distances < radius).any():
         assert found[0] == first + distances.argmin()
-        assert found[1] >= first and distances[found[1] - first] < radius
+        assert found[1] >= first
+        assert distances[found[1] - first] < radius
     else:
         assert found == [-1, -1]

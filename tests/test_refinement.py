@@ -114,7 +114,9 @@ def test_heights_above_the_surface_fall_as_the_tolerance_does():
     )
 
 
-@pytest.mark.parametrize("effort, least, most", [("fast", 45_000, 1.18), ("balanced", 60_000, 1.055)])
+@pytest.mark.parametrize(
+    "effort, least, most", [("fast", 45_000, 1.18), ("balanced", 60_000, 1.055)]
+)
 def test_large_curved_meshes_are_refined_and_near_the_lower_bound(monkeypatch, effort, least, most):
     made = []
 

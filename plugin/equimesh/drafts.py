@@ -65,10 +65,7 @@ def best_drafts(
             coarse = tol * 4.0**levels * how.error
             if levels > 0 and not job.fits(job.lattice(coarse)):
                 return [job.nested(tol, coarse, levels, how, report)]
-    lattice = job.lattice(tol)
-    if kernel.kind != PATCHES or lattice.settled:
-        return [lattice]
-    return job.drafts(lattice, tol, report)
+    return job.drafts(tol, report)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -115,19 +112,24 @@ class _Job:
         """Whether a lattice fits, so that annealing it would not pay."""
         return seam_share(self.kernel, lattice.mesh, lattice.aim) <= _SEAMS
 
-    def drafts(self, lattice: FirstMesh, tol: float, report: Report) -> list[FirstMesh]:
-        """The best drafts from as many lattices as the effort has time for."""
+    def drafts(self, tol: float, report: Report) -> list[FirstMesh]:
+        """The best drafts from as many lattices as the effort has time for; on data, and where no
+        further vertex is needed, the first mesh itself."""
+        lattice = self.lattice(tol)
+        if self.kernel.kind != PATCHES or lattice.settled:
+            return [lattice]
         how, cost = EFFORTS[self.effort], float(_size(lattice))
         fits = self.fits(lattice)
         number = how.drafts
         if fits:
             number, cost = how.lattices, cost / _FITTING
         number = max(1, min(number, int(how.triangles // cost)))
+        laid = [lattice] if fits else []
+        del lattice  # it is of no use, and large
 
         def drafted(turn: int, report: Report = lambda _: None) -> FirstMesh:
             error = None if fits else _ERRORS[turn % len(_ERRORS)]
-            laid = fits and turn == 0
-            start = lattice if laid else self.lattice(tol, error, turn)
+            start = laid[0] if fits and turn == 0 else self.lattice(tol, error, turn)
             return _with(start, draft(*self.given(start), error, report, self.expected(tol)))
 
         best: list[FirstMesh] = []
@@ -138,9 +140,9 @@ class _Job:
                 for done, start in enumerate(pool.map(drafted, range(number)), 1):
                     best = sorted([*best, start], key=_size)[: how.kept]
                     report(done / number)
+            most = how.cycled[0] if fits else how.cycled[1]
             ends = pool.map(
-                lambda start: self.cycled(start, tol, min(how.cycles, how.cycled // _size(start))),
-                best,
+                lambda start: self.cycled(start, tol, min(how.cycles, most // _size(start))), best
             )
             return sorted(ends, key=_size)
 

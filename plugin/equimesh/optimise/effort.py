@@ -21,8 +21,9 @@ class Effort:
     moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the same for the best
     of them on the true errors, which are pressed in ``presses`` rounds. In between the ``kept``
     best drafts go through up to ``cycles`` of exchange and repair, as many as ``cycled`` triangles
-    allow. A mesh of ``1 + enough / sqrt(N*)`` times N* triangles gets no more of either, or one if
-    it is very small: what its border costs falls like that too.
+    allow, the first number where lattices fit, for there is less to gain. A mesh of ``1 + enough /
+    sqrt(N*)`` times N* triangles gets no more of either, or one if it is very small: what its
+    border costs falls like that too.
     """
 
     lattices: int
@@ -37,7 +38,7 @@ class Effort:
     presses: int
     kept: int
     cycles: int
-    cycled: int
+    cycled: tuple[int, int]
     enough: float
 
     def goal(self, least: float) -> float:
@@ -46,7 +47,7 @@ class Effort:
 
 
 EFFORTS = {
-    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, 1, 0, 0, 0.0),
-    "balanced": Effort(2, 2, 3_000, 30, 6, 0, 30, 0, 0, 1, 1, 3, 60_000, 4.5),
-    "best": Effort(200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, 8, 40, 300_000, 0.0),
+    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, 1, 0, (0, 0), 0.0),
+    "balanced": Effort(2, 2, 3_000, 30, 6, 0, 30, 0, 0, 1, 1, 3, (6_000, 60_000), 4.5),
+    "best": Effort(200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, 8, 40, (300_000, 300_000), 0.0),
 }
