@@ -26,7 +26,7 @@ __all__ = ["even_out", "regional_shares"]
 _GOAL = 0.985  # the largest errors to be, in units of the tolerance,
 _POWER = 48  # by a mean of this power
 _RINGS = 3  # over so many rings of triangles
-_EAGER = 1.7  # power of what they are off by that shares change by: two rounds do for four
+_EAGER = 1.7  # the power by which two rounds do for four
 _LEAST, _MOST = 0.88, 1.08  # shares: some errors do not give way to any number of vertices
 _CEILING = 1.3  # larger errors are no question of density
 _PRESSES = 2  # rounds of pressing before errors are looked at
@@ -69,7 +69,7 @@ def even_out(
             least = expected
         if number == last or idle == _IDLE or (number >= first and least <= goal):
             break
-        mesh.share[:] = regional_shares(mesh, share)
+        mesh.share[:] = regional_shares(mesh, share, _EAGER)
         exchange_all(field, mesh, error * tol, queue, visits, SOFT)
         share = mesh.share.copy()
         mesh.share[:] = 1.0
@@ -77,9 +77,14 @@ def even_out(
     restore(mesh, best)
 
 
-def regional_shares(mesh: Mesh, share: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(v,) the next shares: larger where the largest errors around a vertex are, for the last."""
-    return np.clip(share * (_largest_around(mesh) / _GOAL) ** _EAGER, _LEAST, _MOST)
+def regional_shares(
+    mesh: Mesh, share: NDArray[np.float64], power: float = 1.0
+) -> NDArray[np.float64]:
+    """(v,) the next shares: larger where the largest errors around a vertex are, for the last.
+
+    ``power`` of what these errors are off by: shares change by so much.
+    """
+    return np.clip(share * (_largest_around(mesh) / _GOAL) ** power, _LEAST, _MOST)
 
 
 def _expected(mesh: Mesh) -> float:
