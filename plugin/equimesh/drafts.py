@@ -113,8 +113,10 @@ class _Job:
         return seam_share(self.kernel, lattice.mesh, lattice.aim) <= _SEAMS
 
     def drafts(self, tol: float, report: Report) -> list[FirstMesh]:
-        """The best drafts from as many lattices as the effort has time for; on data, and where no
-        further vertex is needed, the first mesh itself."""
+        """The best drafts from as many lattices as the effort has time for.
+
+        On data, and where no further vertex is needed, the first mesh itself.
+        """
         lattice = self.lattice(tol)
         if self.kernel.kind != PATCHES or lattice.settled:
             return [lattice]
