@@ -223,7 +223,10 @@ class _Search:
         return grid(self.case.box, n)
 
     def attempt(self, c: float) -> float:
-        """The largest error over the tolerance after all passes for ``c``; NaN if one fails."""
+        """The largest error over the tolerance after all passes for ``c``.
+
+        NaN if one fails, or if too many have failed in a row.
+        """
         if self.failed >= FAILURES:
             return np.nan
         mesh = self.start() if self.fresh or self.mesh is None else self.mesh

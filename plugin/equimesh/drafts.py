@@ -122,16 +122,16 @@ class _Job:
             return [lattice]
         how, cost = EFFORTS[self.effort], float(_size(lattice))
         fits = self.fits(lattice)
+        laid = lattice if fits else None
+        del lattice  # one that does not fit is of no use, and large
         number = how.drafts
         if fits:
             number, cost = how.lattices, cost / _FITTING
         number = max(1, min(number, int(how.triangles // cost)))
-        laid = [lattice] if fits else []
-        del lattice  # it is of no use, and large
 
         def drafted(turn: int, report: Report = lambda _: None) -> FirstMesh:
             error = None if fits else _ERRORS[turn % len(_ERRORS)]
-            start = laid[0] if fits and turn == 0 else self.lattice(tol, error, turn)
+            start = laid if turn == 0 and laid is not None else self.lattice(tol, error, turn)
             return _with(start, draft(*self.given(start), error, report, self.expected(tol)))
 
         best: list[FirstMesh] = []
