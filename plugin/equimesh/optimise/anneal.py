@@ -21,6 +21,7 @@ from equimesh.optimise.mesh import (
     FIRM,
     FREE,
     HARD,
+    HARDEST,
     HEIGHTS,
     LOG_T,
     MANNER,
@@ -43,7 +44,8 @@ from equimesh.optimise.sweep import (
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 
 __all__ = [
-    "VISITS", "anneal", "exchange", "exchange_all", "exchange_once", "press", "relief", "shares",
+    "VISITS", "anneal", "bowls", "exchange", "exchange_all", "exchange_once", "press", "relief",
+    "shares",
 ]  # fmt: skip
 
 # For each power p: (p - 1) times the energy of a lattice triangle of error 1, in the mean of the
@@ -59,6 +61,7 @@ _STEPS = 8  # of all vertices between rounds of flips
 _ROUNDS = 2  # of exchanges
 _LASTING = 1e-2  # flips for each triangle below which steps of all vertices no longer matter
 _PATIENCE = 20  # rounds of steps and flips, at most
+_WIDE = 4_000  # triangles from which on strain has where to go at the highest power
 _LAST = 0.97  # the least error to anneal for in the end
 # Where a surface is convex or concave one crystal fills it, with hardly a dislocation: its errors
 # may be this large while others are still annealed for less.
@@ -255,17 +258,28 @@ def relief(error: float, two_sided: bool) -> float:
 def shares(mesh: Mesh, error: float) -> NDArray[np.float64]:
     """(v,) by what errors near a vertex are multiplied in an exchange for ``error``: by less than 1
     where the surface is convex or concave there, as far as ``relief`` goes."""
+    return np.where(bowls(mesh), 1.0 / relief(error, bool(mesh.count[HEIGHTS])), 1.0)
+
+
+def bowls(mesh: Mesh) -> NDArray[np.bool_]:
+    """(v,) whether the surface is convex or concave at each vertex."""
     _, _, xx, xy, yy = mesh.jet.T
-    return np.where(xx * yy > xy * xy, 1.0 / relief(error, bool(mesh.count[HEIGHTS])), 1.0)
+    return np.asarray(xx * yy > xy * xy)
 
 
 def press(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> None:
-    """Lower the largest errors as far as moves and flips alone can."""
-    mesh.count[MANNER] = HARD
-    for _ in range(rounds):
-        relax_together(field, mesh, tol, _STEPS)
-        if flip_all(field, mesh, tol, 50) == 0:
-            break
+    """Lower the largest errors as far as moves and flips alone can.
+
+    In up to so many ``rounds``, and in half as many more of a large mesh at the highest power: few
+    errors are then above all others, those around dislocations not even by a hundredth.
+    """
+    wide = mesh.count[TRIANGLES] >= _WIDE
+    for manner, most in ((HARD, rounds), (HARDEST, rounds // 2 if wide else 0)):
+        mesh.count[MANNER] = manner
+        for _ in range(most):
+            relax_together(field, mesh, tol, _STEPS)
+            if flip_all(field, mesh, tol, 50) == 0:
+                break
     mesh.count[MANNER] = SETTLE
 
 

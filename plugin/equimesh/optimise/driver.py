@@ -27,7 +27,7 @@ from equimesh.optimise.mesh import (
     enlarged,
     movable,
 )
-from equimesh.optimise.nested import Nested, settle
+from equimesh.optimise.nested import AIM, Nested, settle
 from equimesh.optimise.regions import even_out
 from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.search import search_all
@@ -59,9 +59,7 @@ __all__ = [
 Report = Callable[[float], None]
 # Hardly any removal succeeds around a vertex that could spare fewer triangles than this.
 _WORTH = 1.5
-# Cycles aim at errors between the least and 1, by a sequence that repeats none.
-_LEAST = 0.93
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # the aims of cycles follow a sequence that repeats none
 _FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
 _PRESSES = 4  # rounds of pressing on Hermite's errors, which are cheap
 _STRAINED = 16  # moves of each vertex that strain is evened out by
@@ -141,12 +139,17 @@ def finer_draft(
     ``last``: the mesh is not to be refined again, so its errors must keep ``tol``.
     """
     with modelled(field, mesh):
-        settle(field, mesh, tol, how.last if last else how.between, lambda f: report(0.6 * f))
+        settle(field, mesh, tol, how.last if last else how.between, lambda f: report(0.4 * f))
         if not last:
             return mesh
+        queue = make_queue(len(mesh.x))
+        even_out(
+            field, mesh, tol, AIM, queue, VISITS, (0, how.evenings), 0.0,
+            lambda f: report(0.4 + 0.2 * f),
+        )  # fmt: skip
+        evaluate_all(field, mesh, tol)
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
-        queue = make_queue(len(mesh.x))
         if how.thorough:
             mesh.count[MANNER] = SPREAD
             relax_all(field, mesh, tol, queue, _SPREADING)
@@ -164,7 +167,7 @@ def cycled(
 ) -> Mesh:
     """The best of a row of up to ``most`` drafts, each made from the best by exchanging vertices.
 
-    Exchanges for an error below ``tol`` put vertices where errors are large and take them where
+    Exchanges for an error near ``tol`` put vertices where errors are large and take them where
     there is slack, over all the mesh at once; pressing and repair make it keep ``tol`` again. The
     error differs from cycle to cycle, so that a mesh that did not get better is tried anew.
     ``least``: N*.
@@ -174,7 +177,8 @@ def cycled(
     for number in range(most):
         if size <= how.goal(least) and (number > 0 or size > _SCATTER):
             break
-        error = _LEAST + (1.0 - _LEAST) * math.fmod(_GOLDEN * (number + 1), 1.0)
+        low, high = how.aims
+        error = low + (high - low) * math.fmod(_GOLDEN * (number + 1), 1.0)
         mesh = copied(best)
         with modelled(field, mesh):
             exchange(field, mesh, tol, error, make_queue(len(mesh.x)), how.visits)

@@ -5,7 +5,8 @@ and each violation costs a step besides (``SETTLE``): a convex power would trade
 violations for many slight ones and spread them over a settled interior. Where a change is tried and
 undone if it fails, that spreading is wanted, and the price is h^2 (``SPREAD``). Where nothing is
 violated and must not be, a smooth power brings slack together (``EVEN``). Powers alone bring
-crystals about: the higher (``SOFT`` 6, ``FIRM`` 24, ``HARD`` 48), the more do large errors count.
+crystals about: the higher (``SOFT`` 6, ``FIRM`` 24, ``HARD`` 48, ``HARDEST`` 192), the more do
+large errors count.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from equimesh.optimise.mesh import (
     EVEN,
     FIRM,
     HARD,
+    HARDEST,
     MANNER,
     MODEL,
     SOFT,
@@ -45,6 +47,7 @@ from equimesh.optimise.model import (
 from equimesh.optimise.topology import note_triangle
 
 __all__ = [
+    "DEAREST",
     "ROOM",
     "evaluate_all",
     "lift",
@@ -61,7 +64,8 @@ __all__ = [
 ROOM = 0.98  # how far vertices may leave the surface, in units of the tolerance, where they may
 _RANGE = 2048  # triangles that a thread evaluates at a time
 _SMALL = 0.5  # units of the tolerance: whether an error is less than this matters to nobody
-_CEILING = 1e3  # beyond it, more is not worse: keeps sums finite
+_CEILING = 1e3  # beyond it, more is not worse: keeps sums finite,
+DEAREST = 1e70  # and where a power of 48 or less is raised further, beyond this
 
 
 @compiled
@@ -75,7 +79,13 @@ def penalty(m, e):
         if m.count[MANNER] >= FIRM:
             power *= power
             power *= power
-        return power * power if m.count[MANNER] == HARD else power
+        if m.count[MANNER] >= HARD:
+            power *= power
+        if m.count[MANNER] == HARDEST:
+            power = min(power, DEAREST)
+            power *= power
+            power *= power
+        return power
     if m.count[MANNER] == EVEN:
         return e2 * e2 + (100.0 if e > 1.0 else 0.0)
     small = 1e-4 * e2 * e2 if e < 1.0 else 1e-4 * e2

@@ -30,7 +30,7 @@ __all__ = [
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
 # How errors are priced (``energy.penalty``).
-SETTLE, SPREAD, EVEN, SOFT, FIRM, HARD = 0, 1, 2, 3, 4, 5
+SETTLE, SPREAD, EVEN, SOFT, FIRM, HARD, HARDEST = range(7)
 
 # Positions in Mesh.count.
 (

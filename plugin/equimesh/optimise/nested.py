@@ -22,7 +22,7 @@ from equimesh.optimise.regions import regional_shares
 from equimesh.optimise.relax import make_queue
 from equimesh.optimise.sweep import flip_all
 
-__all__ = ["Nested", "nested_for", "settle"]
+__all__ = ["AIM", "Nested", "nested_for", "settle"]
 
 
 _EXCHANGE = -1  # a pass of vertices that come and go; other steps are manners of all vertices
@@ -34,9 +34,9 @@ class Nested:
 
     ``above``: triangles from which on that pays; ``least``: below which the smallest is not to
     fall; ``error``: what it is annealed for, in units of its tolerance; ``between``: steps after a
-    refinement that others follow; ``last``: after the last. ``thorough``: at last violations are
-    spread before vertices are inserted, and vertices removed. ``cycles``: of exchange and repair
-    after that.
+    refinement that others follow; ``last``: after the last. Then come rounds in which regions get
+    their own numbers of vertices (``evenings``). ``thorough``: at last violations are spread before
+    vertices are inserted, and vertices removed. ``cycles``: of exchange and repair after that.
     """
 
     above: float
@@ -44,33 +44,34 @@ class Nested:
     error: float
     between: tuple[int, ...]
     last: tuple[int, ...]
+    evenings: int
     thorough: bool
     cycles: int
 
 
 _NESTED = {
     "fast": (
-        Nested(40_000, 4_000, 0.94, (SOFT, SOFT), (SOFT, FIRM), thorough=False, cycles=0),
-        Nested(150_000, 4_000, 0.91, (SOFT, SOFT), (SOFT, FIRM), thorough=False, cycles=0),
+        Nested(40_000, 4_000, 0.94, (SOFT, SOFT), (SOFT, FIRM), 0, thorough=False, cycles=0),
+        Nested(150_000, 4_000, 0.91, (SOFT, SOFT), (SOFT, FIRM), 0, thorough=False, cycles=0),
     ),
     "balanced": (
         Nested(
             48_000, 12_000, 1.0,
             (SOFT, SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
-            (SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
-            thorough=True, cycles=1,
+            (SOFT, HARD, _EXCHANGE, HARD),
+            evenings=1, thorough=True, cycles=1,
         ),
         Nested(
             200_000, 4_000, 0.98,
             (SOFT, SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
             (SOFT, HARD, _EXCHANGE, HARD, HARD, HARD),
-            thorough=True, cycles=0,
+            evenings=0, thorough=True, cycles=0,
         ),
     ),
     "best": (),
 }  # fmt: skip
 _STEPS = 4  # of all vertices before edges flip
-_AIM = 0.97  # what vertices are exchanged for
+AIM = 0.98  # what vertices are exchanged for
 _OFF = 1.5  # triangles too few or too many around a vertex that make an exchange worth a trial
 
 
@@ -106,8 +107,8 @@ def _exchange(field: KernelField, mesh: Mesh, tol: float) -> None:
     """Vertices to regions with large errors, and to dislocations, from where they are too many."""
     mesh.share[:] = regional_shares(mesh, mesh.share)
     mesh.count[MANNER] = SOFT
-    evaluate_all(field, mesh, _AIM * tol)
+    evaluate_all(field, mesh, AIM * tol)
     queue, stamp = make_queue(len(mesh.x)), np.zeros(len(mesh.x), np.int64)
-    exchange_once(field, mesh, _AIM * tol, queue, VISITS, stamp, 1, _OFF)
+    exchange_once(field, mesh, AIM * tol, queue, VISITS, stamp, 1, _OFF)
     mesh.share[:] = 1.0
     evaluate_all(field, mesh, tol)

@@ -17,10 +17,11 @@ from equimesh.fields.kernel import KernelField
 from equimesh.fields.workers import in_ranges
 from equimesh.optimise.angles import angle_slope, by_angle
 from equimesh.optimise.conjugate import matrix
-from equimesh.optimise.energy import penalty, share_along, share_inside
+from equimesh.optimise.energy import DEAREST, penalty, share_along, share_inside
 from equimesh.optimise.mesh import (
-    FIRM,
     FIXED,
+    HARD,
+    HARDEST,
     MANNER,
     MODEL,
     SLIDES,
@@ -71,8 +72,12 @@ def _derivatives(m, e):
     p, below = 6.0, e4  # the power, and e^(p - 2)
     if m.count[MANNER] != SOFT:
         p, below = 24.0, e4 * e4 * e4 * e4 * e4 * e * e
-        if m.count[MANNER] != FIRM:
+        if m.count[MANNER] >= HARD:
             p, below = 48.0, below * below * e * e
+        if m.count[MANNER] == HARDEST:
+            below = min(below, DEAREST)
+            power = min(below * e * e, DEAREST)
+            p, below = 192.0, power * power * power * below
     share = 1.0 / (_DEAR + below * e * e)
     return share * p * below * e, share * p * (p - 1.0) * below
 
