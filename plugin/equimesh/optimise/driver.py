@@ -151,9 +151,7 @@ def finer_draft(
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         if how.thorough:
-            mesh.count[MANNER] = SPREAD
-            relax_all(field, mesh, tol, queue, _SPREADING)
-            mesh.count[MANNER] = SETTLE
+            _spread(field, mesh, tol, queue, _SPREADING)
         report(0.7)
         mesh = _lower_errors(field, mesh, tol, queue)
         report(0.9)
@@ -214,8 +212,13 @@ def _pressed(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> Mesh:
 def _even_strain(field: KernelField, mesh: Mesh, tol: float) -> None:
     """Press and relax where strain may spread: in a mesh that is no settled lattice."""
     press(field, mesh, tol, _PRESSES)
+    _spread(field, mesh, tol, make_queue(len(mesh.x)), _STRAINED)
+
+
+def _spread(field: KernelField, mesh: Mesh, tol: float, queue: Queue, moves: int) -> None:
+    """Relax around every violation so that it may spread, by so many moves of each vertex."""
     mesh.count[MANNER] = SPREAD
-    relax_all(field, mesh, tol, make_queue(len(mesh.x)), _STRAINED)
+    relax_all(field, mesh, tol, queue, moves)
     mesh.count[MANNER] = SETTLE
 
 
@@ -249,6 +252,7 @@ def optimise(
         flip_all(field, mesh, tol, 50)
         mesh = _pressed(field, mesh, tol, how.presses)
         relax_all(field, mesh, tol, queue, 40)
+        _spread(field, mesh, tol, queue, _STRAINED)
         report(0.3)
         mesh = _lower_errors(field, mesh, tol, queue)
     else:
@@ -293,6 +297,7 @@ def repair(
     queue = make_queue(len(mesh.x))
     split_listed(field, mesh, tol, queue, slots[worst_errors(mesh)[slots] <= 1.0])
     relax_all(field, mesh, tol, queue, 40)
+    _spread(field, mesh, tol, queue, _STRAINED)
     return _lower_errors(field, mesh, tol, queue)
 
 
