@@ -11,13 +11,24 @@ from hypothesis import strategies as st
 from equimesh.fields.dispatch import value
 from equimesh.fields.function import Function
 from equimesh.optimise.energy import evaluate_all, lift
-from equimesh.optimise.mesh import FIRM, FIXED, FREE, HARD, MANNER, MODEL, SLIDES, SOFT, build
+from equimesh.optimise.mesh import (
+    FIRM,
+    FIXED,
+    FREE,
+    HARD,
+    HARDEST,
+    MANNER,
+    MODEL,
+    SLIDES,
+    SOFT,
+    build,
+)
 from equimesh.optimise.newton import relax_together
 from equimesh.optimise.sweep import lift_all
 from equimesh.optimise.system import System, prices
 from equimesh.triangulation import constrained_delaunay
 
-POWERS = {"soft": SOFT, "firm": FIRM, "hard": HARD}
+POWERS = {"soft": SOFT, "firm": FIRM, "hard": HARD, "hardest": HARDEST}
 SQUARE = shapely.box(-1, -1, 1, 1)
 SEEDS = st.integers(0, 2**32 - 1)
 FIELDS = {

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.kernel import PATCHES, KernelField
-from equimesh.optimise.anneal import VISITS, anneal, exchange, press
-from equimesh.optimise.effort import EFFORTS
+from equimesh.optimise.anneal import VISITS, WIDE, anneal, exchange, press
+from equimesh.optimise.effort import AIMS, EFFORTS
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.greedy import refine
 from equimesh.optimise.mesh import (
@@ -175,7 +175,7 @@ def cycled(
     for number in range(most):
         if size <= how.goal(least) and (number > 0 or size > _SCATTER):
             break
-        low, high = how.aims
+        low, high = how.aims if size >= WIDE else AIMS
         error = low + (high - low) * math.fmod(_GOLDEN * (number + 1), 1.0)
         mesh = copied(best)
         with modelled(field, mesh):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["EFFORTS", "Effort"]
+__all__ = ["AIMS", "EFFORTS", "Effort"]
 
+AIMS = (0.93, 1.0)  # errors that cycles aim at, in units of the tolerance
 _FORESEEN = 0.985  # that well are the triangles known that a mesh will have, and N*
 
 
@@ -21,11 +22,11 @@ class Effort:
     moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the same for the best
     of them on the true errors, which are pressed in ``presses`` rounds. In between the ``kept``
     best drafts go through up to ``cycles`` of exchange and repair, as many as ``cycled`` triangles
-    allow, the first number where lattices fit, for there is less to gain. They aim at errors
-    between the two of ``aims``, in units of the tolerance: above 1 where few visits are made, since
-    not all that pays where a whole mesh gives way does so where only a neighbourhood can. A mesh of
-    ``1 + enough / sqrt(N*)`` times N* triangles gets no more of either, or one if it is very small:
-    what its border costs falls like that too.
+    allow, the first number where lattices fit, for there is less to gain. In wide meshes they aim
+    at errors between the two of ``aims``: above 1 where visits are few, since not all that pays
+    where a whole mesh gives way does so where only a neighbourhood can. A mesh of ``1 + enough /
+    sqrt(N*)`` times N* triangles gets no more of either, or one if it is very small: what its
+    border costs falls like that too.
     """
 
     lattices: int
@@ -50,9 +51,9 @@ class Effort:
 
 
 EFFORTS = {
-    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, 1, 0, (0, 0), (1.0, 1.0), 0.0),
+    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, 1, 0, (0, 0), AIMS, 0.0),
     "balanced": Effort(2, 2, 3_000, 30, 6, 0, 30, 0, 0, 1, 1, 3, (6_000, 60_000), (1.0, 1.08), 4.5),
     "best": Effort(
-        200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, 8, 40, (300_000, 300_000), (0.93, 1.0), 0.0
+        200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, 8, 40, (300_000, 300_000), AIMS, 0.0
     ),
 }

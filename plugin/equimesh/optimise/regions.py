@@ -16,14 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.kernel import KernelField
-from equimesh.optimise.anneal import bowls, exchange_all, press, shares
+from equimesh.optimise.anneal import WIDE, bowls, exchange_all, press, shares
 from equimesh.optimise.energy import evaluate_all, worst_errors
-from equimesh.optimise.mesh import SOFT, Mesh, copied, restore
+from equimesh.optimise.mesh import SOFT, TRIANGLES, Mesh, copied, restore
 from equimesh.optimise.relax import Queue
 
 __all__ = ["even_out", "regional_shares"]
 
-_GOAL = 0.99  # the largest errors to be, in units of the tolerance,
+# The largest errors to be, in units of the tolerance: the second in a wide mesh, which is pressed
+# harder,
+_GOAL, _GOAL_WIDE = 0.985, 0.99
 _POWER = 48  # by a mean of this power
 _RINGS = 3  # over so many rings of triangles
 # The power by which shares change: the errors of a saddle follow at once only in part. (By this one
@@ -86,7 +88,8 @@ def regional_shares(
 
     ``power`` of what these errors are off by: shares change by so much.
     """
-    return np.clip(share * (_largest_around(mesh) / _GOAL) ** power, _LEAST, _MOST)
+    goal = _GOAL_WIDE if mesh.count[TRIANGLES] >= WIDE else _GOAL
+    return np.clip(share * (_largest_around(mesh) / goal) ** power, _LEAST, _MOST)
 
 
 def _expected(mesh: Mesh) -> float:
