@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 import equimesh
-from equimesh.optimise import driver, regions
+from equimesh.optimise import anneal, driver, regions
+from equimesh.optimise.energy import worst_errors
 from equimesh.optimise.mesh import FREE, VERTICES, build, copied, restore
 from equimesh.triangulation import constrained_delaunay
+
+FRANKE = (
+    "0.75*exp(-((9*x-2)**2+(9*y-2)**2)/4)+0.75*exp(-(9*x+1)**2/49-(9*y+1)/10)"
+    "+0.5*exp(-((9*x-7)**2+(9*y-3)**2)/4)-0.2*exp(-(9*x-4)**2-(9*y-7)**2)"
+)
 
 
 def grid(cells=20):
@@ -105,3 +111,33 @@ def test_a_mesh_that_is_good_enough_gets_no_rounds_and_a_very_small_one_one(
     assert len(made) == rounds * len(goals)
     least = result.lower_bound
     assert goals[0] == pytest.approx(least + 4.5 * least**0.5, rel=0.03)
+
+
+def test_what_curvature_costs_falls_with_the_root_of_the_number():
+    """On Franke's function, convex here and a saddle there, as on one whose metric is flat."""
+    result = equimesh.remesh(FRANKE, 1e-4, (0, 0, 1, 1))
+    assert result.status.ok
+    least = result.lower_bound
+    assert least > 19_000
+    assert len(result.triangles) <= least + 4.0 * least**0.5
+
+
+def test_the_highest_power_brings_the_largest_errors_of_a_wide_mesh_to_the_others(monkeypatch):
+    """Closer than as many rounds at the lower power do."""
+    spreads = []
+
+    def watched(field, mesh, tol, rounds):
+        for highest in (False, True):
+            with monkeypatch.context() as here:
+                here.setattr(anneal, "WIDE", 0 if highest else 1 << 60)
+                trial = copied(mesh)
+                press(field, trial, tol, rounds if highest else rounds + rounds // 2)
+            errors = worst_errors(trial)[trial.tv[:, 0] >= 0]
+            spreads.append(np.quantile(errors, 0.99) - np.median(errors))
+        press(field, mesh, tol, rounds)
+
+    press = anneal.press
+    monkeypatch.setattr(driver, "press", watched)
+    assert equimesh.remesh(FRANKE, 3e-4, (0, 0, 1, 1)).status.ok
+    for lower, higher in zip(spreads[1::2], spreads[::2], strict=True):
+        assert lower < 0.8 * higher

@@ -270,8 +270,8 @@ def bowls(mesh: Mesh) -> NDArray[np.bool_]:
 def press(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> None:
     """Lower the largest errors as far as moves and flips alone can.
 
-    In up to so many ``rounds``, and in half as many more of a large mesh at the highest power: few
-    errors are then above all others, those around dislocations not even by a hundredth.
+    In up to so many ``rounds``, and in a wide mesh in half as many more at the highest power, which
+    brings the errors around dislocations close to all others.
     """
     wide = mesh.count[TRIANGLES] >= WIDE
     for manner, most in ((HARD, rounds), (HARDEST, rounds // 2 if wide else 0)):
