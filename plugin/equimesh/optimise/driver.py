@@ -252,7 +252,8 @@ def optimise(
         flip_all(field, mesh, tol, 50)
         mesh = _pressed(field, mesh, tol, how.presses)
         relax_all(field, mesh, tol, queue, 40)
-        _spread(field, mesh, tol, queue, _STRAINED)
+        if triangles_in(mesh) >= WIDE:  # whose errors are all near the tolerance
+            _spread(field, mesh, tol, queue, _STRAINED)
         report(0.3)
         mesh = _lower_errors(field, mesh, tol, queue)
     else:
@@ -297,7 +298,8 @@ def repair(
     queue = make_queue(len(mesh.x))
     split_listed(field, mesh, tol, queue, slots[worst_errors(mesh)[slots] <= 1.0])
     relax_all(field, mesh, tol, queue, 40)
-    _spread(field, mesh, tol, queue, _STRAINED)
+    if triangles_in(mesh) >= WIDE:
+        _spread(field, mesh, tol, queue, _STRAINED)
     return _lower_errors(field, mesh, tol, queue)
 
 

@@ -29,7 +29,7 @@ _GOAL, _GOAL_WIDE = 0.985, 0.99
 _POWER = 48  # by a mean of this power
 _RINGS = 3  # over so many rings of triangles
 # The power by which shares change: the errors of a saddle follow at once only in part. (By this one
-# two rounds do for four.) Those of crystals follow at once.
+# two rounds do for four.) Those of wide crystals follow at once.
 _EAGER = 1.7
 _LEAST, _MOST = 0.88, 1.08  # shares: some errors do not give way to any number of vertices
 _CEILING = 1.3  # larger errors are no question of density
@@ -73,7 +73,8 @@ def even_out(
             least = expected
         if number == last or idle == _IDLE or (number >= first and least <= goal):
             break
-        mesh.share[:] = regional_shares(mesh, share, np.where(bowls(mesh), 1.0, _EAGER))
+        crystals = bowls(mesh) & (mesh.count[TRIANGLES] >= WIDE)
+        mesh.share[:] = regional_shares(mesh, share, np.where(crystals, 1.0, _EAGER))
         exchange_all(field, mesh, error * tol, queue, visits, SOFT)
         share = mesh.share.copy()
         mesh.share[:] = 1.0
