@@ -129,7 +129,7 @@ def test_the_highest_power_brings_the_largest_errors_of_a_wide_mesh_to_the_other
     def watched(field, mesh, tol, rounds):
         for highest in (False, True):
             with monkeypatch.context() as here:
-                here.setattr(anneal, "WIDE", 0 if highest else 1 << 60)
+                here.setattr(anneal, "is_wide", lambda _, wide=highest: wide)
                 trial = copied(mesh)
                 press(field, trial, tol, rounds if highest else rounds + rounds // 2)
             errors = worst_errors(trial)[trial.tv[:, 0] >= 0]

@@ -25,10 +25,9 @@ from equimesh.optimise.driver import (
     finer_draft,
     optimise,
     seam_share,
-    triangles_in,
 )
 from equimesh.optimise.effort import EFFORTS
-from equimesh.optimise.mesh import Mesh
+from equimesh.optimise.mesh import Mesh, triangles_in
 from equimesh.optimise.nested import Nested, nested_for
 from equimesh.refinement import refined
 

@@ -30,6 +30,7 @@ from equimesh.optimise.mesh import (
     SOFT,
     TRIANGLES,
     Mesh,
+    is_wide,
     movable,
 )
 from equimesh.optimise.newton import relax_together
@@ -44,8 +45,8 @@ from equimesh.optimise.sweep import (
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 
 __all__ = [
-    "VISITS", "WIDE", "anneal", "bowls", "exchange", "exchange_all", "exchange_once", "press",
-    "relief", "shares",
+    "VISITS", "anneal", "bowls", "exchange", "exchange_all", "exchange_once", "press", "relief",
+    "shares",
 ]  # fmt: skip
 
 # For each power p: (p - 1) times the energy of a lattice triangle of error 1, in the mean of the
@@ -61,7 +62,6 @@ _STEPS = 8  # of all vertices between rounds of flips
 _ROUNDS = 2  # of exchanges
 _LASTING = 1e-2  # flips for each triangle below which steps of all vertices no longer matter
 _PATIENCE = 20  # rounds of steps and flips, at most
-WIDE = 4_000  # triangles of a mesh in which strain has where to go at the highest power
 _LAST = 0.97  # the least error to anneal for in the end
 # Where a surface is convex or concave one crystal fills it, with hardly a dislocation: its errors
 # may be this large while others are still annealed for less.
@@ -273,8 +273,7 @@ def press(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> None:
     In up to so many ``rounds``, and in a wide mesh in half as many more at the highest power, which
     brings the errors around dislocations close to all others.
     """
-    wide = mesh.count[TRIANGLES] >= WIDE
-    for manner, most in ((HARD, rounds), (HARDEST, rounds // 2 if wide else 0)):
+    for manner, most in ((HARD, rounds), (HARDEST, rounds // 2 if is_wide(mesh) else 0)):
         mesh.count[MANNER] = manner
         for _ in range(most):
             relax_together(field, mesh, tol, _STEPS)

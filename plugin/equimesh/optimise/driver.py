@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.kernel import PATCHES, KernelField
-from equimesh.optimise.anneal import VISITS, WIDE, anneal, exchange, press
+from equimesh.optimise.anneal import VISITS, anneal, exchange, press
 from equimesh.optimise.effort import AIMS, EFFORTS
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.greedy import refine
@@ -25,7 +25,9 @@ from equimesh.optimise.mesh import (
     Mesh,
     copied,
     enlarged,
+    is_wide,
     movable,
+    triangles_in,
 )
 from equimesh.optimise.nested import AIM, Nested, settle
 from equimesh.optimise.regions import even_out
@@ -53,7 +55,6 @@ __all__ = [
     "optimise",
     "repair",
     "seam_share",
-    "triangles_in",
 ]
 
 Report = Callable[[float], None]
@@ -147,7 +148,6 @@ def finer_draft(
             field, mesh, tol, AIM, queue, VISITS, (0, how.evenings), 0.0,
             lambda f: report(0.4 + 0.2 * f),
         )  # fmt: skip
-        evaluate_all(field, mesh, tol)
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         if how.thorough:
@@ -175,7 +175,7 @@ def cycled(
     for number in range(most):
         if size <= how.goal(least) and (number > 0 or size > _SCATTER):
             break
-        low, high = how.aims if size >= WIDE else AIMS
+        low, high = how.aims if is_wide(best) else AIMS
         error = low + (high - low) * math.fmod(_GOLDEN * (number + 1), 1.0)
         mesh = copied(best)
         with modelled(field, mesh):
@@ -192,11 +192,6 @@ def cycled(
         if idle > _IDLE:
             break
     return best
-
-
-def triangles_in(mesh: Mesh) -> int:
-    """How many triangles a mesh has."""
-    return int((mesh.tv[:, 0] >= 0).sum())
 
 
 def _pressed(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> Mesh:
@@ -251,11 +246,8 @@ def optimise(
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         mesh = _pressed(field, mesh, tol, how.presses)
-        relax_all(field, mesh, tol, queue, 40)
-        if triangles_in(mesh) >= WIDE:  # whose errors are all near the tolerance
-            _spread(field, mesh, tol, queue, _STRAINED)
         report(0.3)
-        mesh = _lower_errors(field, mesh, tol, queue)
+        mesh = _mended(field, mesh, tol, queue)
     else:
         rounds, visits = _ON_DATA[effort]
         mesh = _refine(field, mesh, tol)
@@ -297,8 +289,17 @@ def repair(
     evaluate_all(field, mesh, tol, moved)
     queue = make_queue(len(mesh.x))
     split_listed(field, mesh, tol, queue, slots[worst_errors(mesh)[slots] <= 1.0])
+    return _mended(field, mesh, tol, queue)
+
+
+def _mended(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Mesh:
+    """The mesh with its few violations of true errors moved away, or vertices inserted there.
+
+    In a wide mesh, whose errors are all near the tolerance, a vertex inserted at once would push
+    its neighbours above it.
+    """
     relax_all(field, mesh, tol, queue, 40)
-    if triangles_in(mesh) >= WIDE:
+    if is_wide(mesh):
         _spread(field, mesh, tol, queue, _STRAINED)
     return _lower_errors(field, mesh, tol, queue)
 

@@ -42,8 +42,8 @@ class Effort:
     kept: int
     cycles: int
     cycled: tuple[int, int]
-    aims: tuple[float, float]
     enough: float
+    aims: tuple[float, float] = AIMS
 
     def goal(self, least: float) -> float:
         """With how many triangles a mesh is good enough where the lower bound N* is ``least``."""
@@ -51,9 +51,7 @@ class Effort:
 
 
 EFFORTS = {
-    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, 1, 0, (0, 0), AIMS, 0.0),
-    "balanced": Effort(2, 2, 3_000, 30, 6, 0, 30, 0, 0, 1, 1, 3, (4_000, 60_000), (1.0, 1.08), 4.5),
-    "best": Effort(
-        200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, 8, 40, (300_000, 300_000), AIMS, 0.0
-    ),
+    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, 1, 0, (0, 0), 0.0),
+    "balanced": Effort(2, 2, 3_000, 30, 6, 0, 30, 0, 0, 1, 1, 3, (4_000, 60_000), 4.5, (1.0, 1.08)),
+    "best": Effort(200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, 8, 40, (300_000, 300_000), 0.0),
 }

@@ -24,9 +24,13 @@ __all__ = [
     "compact",
     "copied",
     "enlarged",
+    "is_wide",
     "movable",
     "restore",
+    "triangles_in",
 ]
+
+_WIDE = 4_000  # triangles
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
 # How errors are priced (``energy.penalty``).
@@ -187,6 +191,16 @@ def compact(
 def movable(mesh: Mesh) -> NDArray[np.int64]:
     """The vertices that may move and go."""
     return np.asarray(np.flatnonzero((mesh.kind == FREE) | (mesh.kind == SLIDES)))
+
+
+def triangles_in(mesh: Mesh) -> int:
+    """How many triangles a mesh has."""
+    return int((mesh.tv[:, 0] >= 0).sum())
+
+
+def is_wide(mesh: Mesh) -> bool:
+    """Whether a mesh is so large that strain has where to go (``anneal.press``)."""
+    return triangles_in(mesh) >= _WIDE
 
 
 def copied(mesh: Mesh) -> Mesh:

@@ -44,28 +44,28 @@ class Nested:
     error: float
     between: tuple[int, ...]
     last: tuple[int, ...]
-    evenings: int
     thorough: bool
-    cycles: int
+    evenings: int = 0
+    cycles: int = 0
 
 
 _NESTED = {
     "fast": (
-        Nested(40_000, 4_000, 0.94, (SOFT, SOFT), (SOFT, FIRM), 0, thorough=False, cycles=0),
-        Nested(150_000, 4_000, 0.91, (SOFT, SOFT), (SOFT, FIRM), 0, thorough=False, cycles=0),
+        Nested(40_000, 4_000, 0.94, (SOFT, SOFT), (SOFT, FIRM), thorough=False),
+        Nested(150_000, 4_000, 0.91, (SOFT, SOFT), (SOFT, FIRM), thorough=False),
     ),
     "balanced": (
         Nested(
             48_000, 12_000, 1.0,
             (SOFT, SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
             (SOFT, HARD, _EXCHANGE, HARD),
-            evenings=1, thorough=True, cycles=1,
+            thorough=True, evenings=1, cycles=1,
         ),
         Nested(
             200_000, 4_000, 0.98,
             (SOFT, SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
             (SOFT, HARD, _EXCHANGE, HARD, HARD, HARD),
-            evenings=0, thorough=True, cycles=0,
+            thorough=True,
         ),
     ),
     "best": (),

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.kernel import KernelField
-from equimesh.optimise.anneal import WIDE, bowls, exchange_all, press, shares
+from equimesh.optimise.anneal import bowls, exchange_all, press, shares
 from equimesh.optimise.energy import evaluate_all, worst_errors
-from equimesh.optimise.mesh import SOFT, TRIANGLES, Mesh, copied, restore
+from equimesh.optimise.mesh import SOFT, Mesh, copied, is_wide, restore
 from equimesh.optimise.relax import Queue
 
 __all__ = ["even_out", "regional_shares"]
@@ -73,7 +73,7 @@ def even_out(
             least = expected
         if number == last or idle == _IDLE or (number >= first and least <= goal):
             break
-        crystals = bowls(mesh) & (mesh.count[TRIANGLES] >= WIDE)
+        crystals = bowls(mesh) & is_wide(mesh)
         mesh.share[:] = regional_shares(mesh, share, np.where(crystals, 1.0, _EAGER))
         exchange_all(field, mesh, error * tol, queue, visits, SOFT)
         share = mesh.share.copy()
@@ -89,7 +89,7 @@ def regional_shares(
 
     ``power`` of what these errors are off by: shares change by so much.
     """
-    goal = _GOAL_WIDE if mesh.count[TRIANGLES] >= WIDE else _GOAL
+    goal = _GOAL_WIDE if is_wide(mesh) else _GOAL
     return np.clip(share * (_largest_around(mesh) / goal) ** power, _LEAST, _MOST)
 
 
