@@ -11,6 +11,7 @@ import sympy
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
+from surfaces import FRANKE
 
 from equimesh.errors import InputError
 from equimesh.flatness import flatness
@@ -18,10 +19,6 @@ from equimesh.transform import FlatMap
 
 SQUARE = (0.0, 0.0, 1.0, 1.0)
 AROUND = (-1.0, -1.0, 1.0, 1.0)
-FRANKE = (
-    "0.75*exp(-((9*x-2)**2+(9*y-2)**2)/4)+0.75*exp(-(9*x+1)**2/49-(9*y+1)/10)"
-    "+0.5*exp(-((9*x-7)**2+(9*y-3)**2)/4)-0.2*exp(-(9*x-4)**2-(9*y-7)**2)"
-)
 QUARTIC = "x**4+y**4+x**2*y**2"
 
 

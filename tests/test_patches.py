@@ -8,6 +8,7 @@ import shapely
 from hypothesis import example, given
 from hypothesis import strategies as st
 from numpy.polynomial.polynomial import polyder, polyval2d
+from surfaces import FRANKE
 
 from equimesh.errors import InputError
 from equimesh.expression import parse
@@ -24,10 +25,6 @@ from equimesh.fields.patches import fit_patches
 
 SEEDS = st.integers(0, 2**32 - 1)
 SQUARE = shapely.box(-1, -1, 1, 1)
-FRANKE = (
-    "0.75*exp(-((9*x-2)**2+(9*y-2)**2)/4)+0.75*exp(-(9*x+1)**2/49-(9*y+1)/10)"
-    "+0.5*exp(-((9*x-7)**2+(9*y-3)**2)/4)-0.2*exp(-(9*x-4)**2-(9*y-7)**2)"
-)
 TEXTS = ["exp(3*x)*sin(3*y)", "1/(x**2+y**2+1/4)", "tanh(8*(x-y**2))", FRANKE]
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+from surfaces import FRANKE
 
 import equimesh
 from equimesh import drafts
@@ -17,10 +18,6 @@ from equimesh.profile import profile_again, profile_of
 from equimesh.refinement import refined
 
 UNIT = (0, 0, 1, 1)
-FRANKE = (
-    "0.75*exp(-((9*x-2)**2+(9*y-2)**2)/4)+0.75*exp(-(9*x+1)**2/49-(9*y+1)/10)"
-    "+0.5*exp(-((9*x-7)**2+(9*y-3)**2)/4)-0.2*exp(-(9*x-4)**2-(9*y-7)**2)"
-)
 L_SHAPE = shapely.Polygon([(0, 0), (1, 0), (1, 0.5), (0.5, 0.5), (0.5, 1), (0, 1)])
 HOLE = shapely.Polygon(
     [(0, 0), (2, 0), (2, 1), (0, 1)], [[(0.5, 0.3), (0.8, 0.3), (0.8, 0.7), (0.5, 0.7)]]

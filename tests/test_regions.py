@@ -2,17 +2,13 @@
 
 import numpy as np
 import pytest
+from surfaces import FRANKE
 
 import equimesh
 from equimesh.optimise import anneal, driver, regions
 from equimesh.optimise.energy import worst_errors
 from equimesh.optimise.mesh import FREE, VERTICES, build, copied, restore
 from equimesh.triangulation import constrained_delaunay
-
-FRANKE = (
-    "0.75*exp(-((9*x-2)**2+(9*y-2)**2)/4)+0.75*exp(-(9*x+1)**2/49-(9*y+1)/10)"
-    "+0.5*exp(-((9*x-7)**2+(9*y-3)**2)/4)-0.2*exp(-(9*x-4)**2-(9*y-7)**2)"
-)
 
 
 def grid(cells=20):

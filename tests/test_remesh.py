@@ -16,6 +16,7 @@ import shapely
 import shapely.affinity
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from surfaces import FRANKE
 
 import equimesh
 from equimesh import Status
@@ -24,10 +25,6 @@ from equimesh.errors import Cancelled, InputError
 from equimesh.expression import parse
 
 UNIT = (0, 0, 1, 1)
-FRANKE = (
-    "0.75*exp(-((9*x-2)**2+(9*y-2)**2)/4)+0.75*exp(-(9*x+1)**2/49-(9*y+1)/10)"
-    "+0.5*exp(-((9*x-7)**2+(9*y-3)**2)/4)-0.2*exp(-(9*x-4)**2-(9*y-7)**2)"
-)
 HARMONIC = "exp(5*x)*sin(5*y)"
 CONVEX = "exp(2*x+y)+(x-2*y)**2"
 EIGHT = {
