@@ -8,10 +8,24 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numba
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["in_ranges"]
+__all__ = ["apart", "in_ranges"]
 
 _MOST = 64  # ranges
+_BETWEEN = 16  # numbers: two lines of memory
+
+
+def apart(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+    """A copy (n,) that shares no line of memory with other arrays.
+
+    A thread that writes a few numbers all the time would make others wait that read or write what
+    is beside them.
+    """
+    whole = np.zeros(len(numbers) + 2 * _BETWEEN, np.int64)
+    whole[_BETWEEN:-_BETWEEN] = numbers
+    return whole[_BETWEEN:-_BETWEEN]
 
 
 @functools.cache

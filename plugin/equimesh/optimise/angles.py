@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 
 from equimesh.fields.compiled import compiled
-from equimesh.optimise.mesh import FIXED
+from equimesh.optimise.mesh import FIXED, HELD
 
 __all__ = ["angle_price", "angle_slope", "by_angle"]
 
@@ -25,7 +25,7 @@ def _floor_at(shape, sharp, kind, x, y):
     """Sine of the floor at a vertex at (x, y)."""
     least = shape[0]
     count = sharp.shape[0]
-    if count == 0 or kind != FIXED:
+    if count == 0 or kind % HELD != FIXED:
         return least
     reach = _SAME * max(1.0, abs(x), abs(y))
     low, high = 0, count

@@ -34,6 +34,7 @@ from equimesh.optimise.mesh import (
     movable,
 )
 from equimesh.optimise.newton import relax_together
+from equimesh.optimise.parts import in_parts
 from equimesh.optimise.relax import Queue, clear, push, relax
 from equimesh.optimise.removal import remove_vertex
 from equimesh.optimise.sweep import (
@@ -58,6 +59,7 @@ _OFF = 1.0  # triangles too few or too many around a vertex that make an exchang
 # still have after a fifth of the visits, and by what it falls in the next fifths (a thousand trials
 # on four functions).
 _HOPE_OUT, _HOPE_IN, _FALL = 9.0, 1.0, 1 / 3
+_TRIED = 0.2  # of an exchange's visits, at least, are made
 _STEPS = 8  # of all vertices between rounds of flips
 _ROUNDS = 2  # of exchanges
 _LASTING = 1e-2  # flips for each triangle below which steps of all vertices no longer matter
@@ -240,11 +242,16 @@ def exchange_once(
     chosen = np.flatnonzero(np.abs(waste) > off)
     order = chosen[np.argsort(-np.abs(waste[chosen]), kind="stable")]
     price = _PRICE[int(mesh.count[MANNER])]
-    return int(
-        _exchange(
-            field, mesh, aim, queue, candidates[order], waste[order], visits, stamp, number, price
+    candidates, waste = candidates[order], waste[order]
+
+    def work(mesh: Mesh, queue: Queue, rows: NDArray[np.int64]) -> int:
+        return int(
+            _exchange(
+                field, mesh, aim, queue, candidates[rows], waste[rows], visits, stamp, number, price
+            )
         )
-    )
+
+    return in_parts(mesh, queue, candidates, work, _TRIED * visits)
 
 
 def relief(error: float, two_sided: bool) -> float:

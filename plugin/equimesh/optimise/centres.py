@@ -6,7 +6,7 @@ import math
 
 from equimesh.fields.compiled import compiled, outlined
 from equimesh.optimise.insertion import split_edge, split_inside
-from equimesh.optimise.mesh import EPOCH, FIXED
+from equimesh.optimise.mesh import EPOCH, FIXED, HELD
 
 __all__ = ["beyond", "circumcentre", "crowded_side", "split_for_angle", "split_stiff"]
 
@@ -42,10 +42,10 @@ def split_stiff(F, m, tol, t, k):
     """
     a, b = m.tv[t, k], m.tv[t, (k + 1) % 3]
     s = 0.5
-    if (m.kind[a] == FIXED) != (m.kind[b] == FIXED):
+    if (m.kind[a] % HELD == FIXED) != (m.kind[b] % HELD == FIXED):
         length = _length(F, m.x[b] - m.x[a], m.y[b] - m.y[a])
         s = 2.0 ** math.floor(math.log2(0.5 * length) + 0.5) / length
-        if m.kind[b] == FIXED:
+        if m.kind[b] % HELD == FIXED:
             s = 1.0 - s
     v = split_edge(F, m, tol, t, k, s)
     return v if v >= 0 else split_edge(F, m, tol, t, k, 0.5)

@@ -7,7 +7,7 @@ import math
 from equimesh.fields.compiled import compiled, outlined
 from equimesh.fields.dispatch import value
 from equimesh.optimise.energy import edge_of, lift, set_edge, set_inner
-from equimesh.optimise.mesh import FIXED, FREE, SLIDES
+from equimesh.optimise.mesh import FIXED, FREE, HELD, SEAM, SLIDES
 from equimesh.optimise.topology import (
     new_triangle,
     new_vertex,
@@ -103,6 +103,8 @@ def split_edge(F, m, tol, t, k, s):
     x, y = m.x[a] + s * (m.x[b] - m.x[a]), m.y[a] + s * (m.y[b] - m.y[a])
     u = m.tn[t, k]
     wall = m.wall[t, k]
+    if wall >= SEAM:
+        return -1
     if not (
         positive(m.x[a], m.y[a], x, y, m.x[c], m.y[c])
         and positive(x, y, m.x[b], m.y[b], m.x[c], m.y[c])
@@ -188,9 +190,9 @@ def split_edge(F, m, tol, t, k, s):
 @compiled
 def _common_side(m, a, b):
     """The segment on which a border edge or a wall lies, -1 if its ends do not tell."""
-    if m.kind[a] == SLIDES:
+    if m.kind[a] % HELD == SLIDES:
         return m.side[a]
-    if m.kind[b] == SLIDES:
+    if m.kind[b] % HELD == SLIDES:
         return m.side[b]
     for s in range(m.sides.shape[0]):
         row = m.sides[s]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from equimesh.fields.compiled import compiled
 from equimesh.fields.reference import by_reference
+from equimesh.fields.workers import apart
 
 __all__ = [
     "FIXED",
@@ -33,6 +34,8 @@ __all__ = [
 _WIDE = 4_000  # triangles
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
+HELD = 4  # on top of the kind of a vertex that stays where it is while a mesh is in parts,
+SEAM = 2  # and on that of an edge that stays between them
 # How errors are priced (``energy.penalty``).
 SETTLE, SPREAD, EVEN, SOFT, FIRM, HARD, HARDEST = range(7)
 
@@ -55,7 +58,7 @@ SETTLE, SPREAD, EVEN, SOFT, FIRM, HARD, HARDEST = range(7)
 
 
 # Journal and scratch, which mean nothing between two changes.
-_PASSING = {
+PASSING = {
     "log_ti", "log_tf", "log_vi", "log_vf", "lost_t", "lost_v", "ring", "work", "hole_i", "hole_f",
 }  # fmt: skip
 
@@ -70,12 +73,12 @@ class Mesh(NamedTuple):
     w: NDArray[np.float64]  # (v,) height above the surface; may differ from 0 where count[HEIGHTS]
     jet: NDArray[np.float64]  # (v, 5) f_x, f_y, f_xx, f_xy, f_yy, where count[MODEL] is on
     share: NDArray[np.float64]  # (v,) factor of errors nearby; 1 but in exchanges and repairs
-    kind: NDArray[np.int8]  # FREE, SLIDES along its side, FIXED, GONE
+    kind: NDArray[np.int8]  # FREE, SLIDES along its side, FIXED, GONE; with HELD on top
     side: NDArray[np.int64]  # row of ``sides`` on which a sliding vertex lies
     v2t: NDArray[np.int64]  # one triangle of each vertex
     tv: NDArray[np.int64]  # (t, 3) vertices; -1 in the first for a spare slot
     tn: NDArray[np.int64]  # (t, 3) neighbours
-    wall: NDArray[np.uint8]  # (t, 3) 1 where the edge must stay
+    wall: NDArray[np.uint8]  # (t, 3) 1 where the edge must stay; with SEAM on top
     ee: NDArray[np.float64]  # (t, 3) signed largest error of each edge
     ep: NDArray[np.float64]  # (t, 3) where along the edge
     ie: NDArray[np.float64]  # (t,) signed largest error inside
@@ -135,7 +138,7 @@ def build(
         wall[:m] = (kept[found] == low * n + high).reshape(m, 3)
     v2t = np.full(nv, -1, np.int64)
     v2t[triangles.ravel()] = np.repeat(np.arange(m, dtype=np.int64), 3)
-    count = np.zeros(13, np.int64)
+    count = apart(np.zeros(13, np.int64))
     count[TRIANGLES], count[VERTICES] = m, n
     log = 20_000
     return Mesh(
@@ -208,7 +211,8 @@ def copied(mesh: Mesh) -> Mesh:
 
     So no two of them may change at once.
     """
-    return mesh._replace(**{name: part.copy() for name, part in _kept(mesh)})
+    own = {name: part.copy() for name, part in _kept(mesh)}
+    return mesh._replace(**own | {"count": apart(mesh.count)})
 
 
 def restore(mesh: Mesh, kept: Mesh) -> None:
@@ -220,7 +224,7 @@ def restore(mesh: Mesh, kept: Mesh) -> None:
 def _kept(mesh: Mesh) -> Iterator[tuple[str, NDArray[Any]]]:
     """The arrays that mean something between two changes."""
     for name, part in mesh._asdict().items():
-        if name not in _PASSING:
+        if name not in PASSING:
             yield name, part
 
 

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from equimesh.fields.compiled import compiled, outlined
 from equimesh.fields.reference import by_reference
+from equimesh.fields.workers import apart
 from equimesh.optimise.energy import penalty
-from equimesh.optimise.mesh import GONE, VERTICES
-from equimesh.optimise.moves import move_vertex, try_flip
+from equimesh.optimise.mesh import GONE
+from equimesh.optimise.moves import IDLE, move_vertex, try_flip
 from equimesh.optimise.topology import room_left, star
 
-__all__ = ["Queue", "make_queue", "push", "push_all", "push_violated", "relax", "take"]
-
-_IDLE = 1e-3  # a star with a smaller penalty is left alone
+__all__ = ["Queue", "make_queue", "push", "push_listed", "push_violated", "relax", "take"]
 
 
 @by_reference
@@ -37,7 +36,7 @@ def make_queue(vertices: int) -> Queue:
         np.zeros(vertices, np.uint8),
         np.zeros(vertices, np.int64),
         np.zeros(vertices, np.int64),
-        np.zeros(3, np.int64),
+        apart(np.zeros(3, np.int64)),
     )
 
 
@@ -85,10 +84,9 @@ def take(m, q, per_vertex):
 
 
 @compiled
-def push_all(m, q):
-    """All vertices in the order of their numbers."""
-    for v in range(m.count[VERTICES]):
-        push(q, v)
+def push_listed(q, vertices):
+    for i in range(vertices.shape[0]):
+        push(q, vertices[i])
 
 
 @compiled
@@ -116,7 +114,7 @@ def _flip_around(F, m, tol, v):
         done = True
         for i in range(2 * n):  # the spoke and the rim of each triangle
             t, k = m.ring[1, i >> 1], (m.ring[2, i >> 1] + (i & 1)) % 3
-            if penalty(m, m.ee[t, k]) + penalty(m, m.ie[t]) > _IDLE and try_flip(F, m, tol, t, k):
+            if penalty(m, m.ee[t, k]) + penalty(m, m.ie[t]) > IDLE and try_flip(F, m, tol, t, k):
                 done = False
                 break
         if done:

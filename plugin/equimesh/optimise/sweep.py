@@ -5,17 +5,32 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from equimesh.fields.compiled import allocating, compiled, inlined, outlined
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.fields.patch_kernels import derivatives2
+from equimesh.fields.workers import in_ranges
 from equimesh.optimise.angles import by_angle
 from equimesh.optimise.centres import split_for_angle
 from equimesh.optimise.energy import ROOM, penalty, set_jet, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
-from equimesh.optimise.mesh import EPOCH, FREE, MANNER, SETTLE, SLIDES, SPREAD, Mesh
-from equimesh.optimise.moves import try_flip
-from equimesh.optimise.relax import Queue, clear, push, push_all, push_violated, relax
+from equimesh.optimise.mesh import (
+    EPOCH,
+    FREE,
+    GONE,
+    MANNER,
+    SEAM,
+    SETTLE,
+    SLIDES,
+    SPREAD,
+    TRIANGLES,
+    VERTICES,
+    Mesh,
+)
+from equimesh.optimise.moves import IDLE, list_flips, try_flip
+from equimesh.optimise.parts import in_parts
+from equimesh.optimise.relax import Queue, clear, push, push_listed, push_violated, relax
 from equimesh.optimise.removal import remove_if_clean, remove_vertex, touched_excess
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 
@@ -39,6 +54,8 @@ __all__ = [
 # power of the share of their visits that is spent (three thousand trials on five functions).
 _HOPE, _FALL = 3.0, 1e-6
 
+_OFTEN = 4  # moves of a vertex before nothing gives way any more, about
+_TRIED = 0.1  # of a repair's visits, at least, are made
 _WANDERING, _AROUND = 4_000, 100  # visits at least, and for each violated vertex, where they relax
 
 _AREA_CONVEX = 3.0 * math.sqrt(3.0) / 16.0  # of the optimal triangles in units of 8 tol
@@ -64,30 +81,37 @@ def step_aside(F, m, tol):
 
 
 @compiled
-def flip_all(F, m, tol, passes):
-    """Sweep over all edges until none is worth flipping; returns the number of flips.
-
-    After the first pass only triangles that the last one changed can have a new reason to flip.
-    """
+def _flip_listed(F, m, tol, worth, passes):
+    """Flip the edges marked in ``worth`` (t, 3); then those for which that is a new reason."""
     total = 0
     for number in range(passes):
         seen = m.count[EPOCH]
         m.count[EPOCH] += 1
         made = 0
-        for t in range(m.count[0]):
+        for t in range(m.count[TRIANGLES]):
             if m.tv[t, 0] < 0 or (number > 0 and m.mark[t] < seen):
                 continue
             for k in range(3):
                 u = m.tn[t, k]
-                if penalty(m, m.ee[t, k]) + penalty(m, m.ie[t]) > 1e-3 and try_flip(
-                    F, m, tol, t, k
-                ):
+                if number == 0:
+                    tried = worth[t, k]
+                else:
+                    tried = penalty(m, m.ee[t, k]) + penalty(m, m.ie[t]) > IDLE
+                if tried and try_flip(F, m, tol, t, k):
                     m.mark[t] = m.mark[u] = m.count[EPOCH]
                     made += 1
         total += made
         if made == 0:
             break
     return total
+
+
+def flip_all(F: KernelField, m: Mesh, tol: float, passes: int) -> int:
+    """Sweep over all edges until none is worth flipping; returns the number of flips."""
+    n = int(m.count[TRIANGLES])
+    worth = np.zeros((n, 3), np.bool_)
+    in_ranges(lambda first, last: list_flips(F, m, tol, first, last, worth), n)
+    return int(_flip_listed(F, m, tol, worth, passes))
 
 
 @compiled
@@ -128,14 +152,26 @@ def relax_all(F: KernelField, m: Mesh, tol: float, q: Queue, per_vertex: int) ->
     """Relax around every violation; what has wandered far from them is left as it is."""
     clear(q)
     push_violated(m, q)
-    relax(F, m, tol, q, max(_WANDERING, _AROUND * int(q.state[1])), per_vertex)
+    violated = q.items[(int(q.state[0]) + np.arange(int(q.state[1]))) % len(q.items)]
+
+    def work(m: Mesh, q: Queue, rows: NDArray[np.int64]) -> int:
+        clear(q)
+        push_listed(q, violated[rows])
+        return int(relax(F, m, tol, q, max(_WANDERING, _AROUND * len(rows)), per_vertex))
+
+    in_parts(m, q, violated, work, _OFTEN)
 
 
 def relax_everything(F: KernelField, m: Mesh, tol: float, q: Queue, per_vertex: int) -> None:
     """Relax around every vertex."""
-    clear(q)
-    push_all(m, q)
-    relax(F, m, tol, q, 1 << 60, per_vertex)
+    vertices = np.flatnonzero(m.kind[: int(m.count[VERTICES])] != GONE)
+
+    def work(m: Mesh, q: Queue, rows: NDArray[np.int64]) -> int:
+        clear(q)
+        push_listed(q, vertices[rows])
+        return int(relax(F, m, tol, q, 1 << 60, per_vertex))
+
+    in_parts(m, q, vertices, work, _OFTEN)
 
 
 @outlined
@@ -143,10 +179,11 @@ def split_at_worst(F, m, tol, t):
     """Split the place of t's largest error; returns the new vertex or -1."""
     k, e = -1, abs(m.ie[t])
     for i in range(3):
-        if abs(m.ee[t, i]) > e:
+        if abs(m.ee[t, i]) > e and m.wall[t, i] < SEAM:
             k, e = i, abs(m.ee[t, i])
     for i in range(3):
-        if (m.tn[t, i] < 0 or m.wall[t, i] == 1) and abs(m.ee[t, i]) > 1.0:
+        stays = (m.tn[t, i] < 0 and m.wall[t, i] < SEAM) or m.wall[t, i] == 1
+        if stays and abs(m.ee[t, i]) > 1.0:
             k = i
     if k < 0 and by_angle(F, m, t):
         v = split_for_angle(F, m, tol, t)
@@ -294,9 +331,8 @@ def _repaired(F, m, tol, q, budget):
 
 
 @compiled
-def removal_round(F, m, tol, q, candidates, budget, goal, stamp, number):
-    """Try to remove each candidate with repair; returns (removed, tried)."""
-    removed = tried = 0
+def _removal_round(F, m, tol, q, candidates, budget, goal, stamp, number):
+    removed = 0
     for i in range(candidates.shape[0]):
         v = candidates[i]
         if (m.kind[v] != FREE and m.kind[v] != SLIDES) or not room_left(m):
@@ -306,7 +342,6 @@ def removal_round(F, m, tol, q, candidates, budget, goal, stamp, number):
         for j in range(count):
             m.ring[3, j] = m.ring[0, j]
         begin(m)
-        tried += 1
         if remove_vertex(F, m, tol, v, goal) < 0.0:
             rollback(m)
             continue
@@ -326,4 +361,26 @@ def removal_round(F, m, tol, q, candidates, budget, goal, stamp, number):
             removed += 1
         else:
             rollback(m)
-    return removed, tried
+    return removed
+
+
+def removal_round(
+    F: KernelField,
+    m: Mesh,
+    tol: float,
+    q: Queue,
+    candidates: NDArray[np.int64],
+    budget: int,
+    goal: float,
+    stamp: NDArray[np.int64],
+    number: int,
+) -> int:
+    """Try to remove each candidate with repair; returns how many went.
+
+    Vertices around where one went get the ``stamp`` (v,) ``number``.
+    """
+
+    def work(m: Mesh, q: Queue, rows: NDArray[np.int64]) -> int:
+        return int(_removal_round(F, m, tol, q, candidates[rows], budget, goal, stamp, number))
+
+    return in_parts(m, q, candidates, work, _TRIED * budget)

@@ -97,8 +97,8 @@ def room_left(m):
     return (
         c[LOG_T] + 600 < m.log_ti.shape[0]
         and c[LOG_V] + 600 < m.log_vi.shape[0]
-        and c[TRIANGLES] + 16 < m.tv.shape[0]
-        and c[VERTICES] + 8 < m.x.shape[0]
+        and c[TRIANGLES] - c[FREE_TRIANGLES] + 16 < m.tv.shape[0]
+        and c[VERTICES] - c[FREE_VERTICES] + 8 < m.x.shape[0]
     )
 
 
