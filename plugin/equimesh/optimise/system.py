@@ -170,8 +170,8 @@ def _slopes(F, m, tol, first, last, before, slopes, shares):
 
 
 @compiled
-def _add(m, first, last, slopes, shares, number, diagonal, places, blocks, downhill):
-    """The parts of triangles ``first`` ... ``last`` in the gradient and in the matrix."""
+def _add_corners(m, first, last, slopes, shares, diagonal, downhill):
+    """The parts of triangles ``first`` ... ``last`` in the gradient and in the vertices' blocks."""
     for t in range(first, last):
         for k in range(4):
             by, by_twice = shares[t - first, k, 0], shares[t - first, k, 1]
@@ -179,13 +179,28 @@ def _add(m, first, last, slopes, shares, number, diagonal, places, blocks, downh
                 continue
             g = slopes[t - first, k]
             for i in range(3):
+                if i == (k + 2) % 3 and k < 3:  # across the edge
+                    continue
                 v = m.tv[t, i]
                 downhill[v, 0] -= by * g[i, 0]
                 downhill[v, 1] -= by * g[i, 1]
                 diagonal[v, 0] += by_twice * g[i, 0] * g[i, 0]
                 diagonal[v, 1] += by_twice * g[i, 0] * g[i, 1]
                 diagonal[v, 2] += by_twice * g[i, 1] * g[i, 1]
+
+
+@compiled
+def _add_edges(m, first, last, slopes, shares, number, places, blocks):
+    """The same in the edges' blocks."""
+    for t in range(first, last):
+        for k in range(4):
+            by, by_twice = shares[t - first, k, 0], shares[t - first, k, 1]
+            if by == 0.0:
+                continue
+            g = slopes[t - first, k]
             for i in range(3):
+                if i != k and k < 3:
+                    continue
                 j, n = (i + 1) % 3, number[t, i]
                 low, high = (i, j) if m.tv[t, i] < m.tv[t, j] else (j, i)
                 for side in range(2):
@@ -216,10 +231,7 @@ class System:
         for start in range(0, len(self.number), _BLOCK):
             stop = min(start + _BLOCK, len(self.number))
             self._slope_block(field, mesh, tol, start, stop)
-            _add(
-                mesh, start, stop, self._slopes, self._shares, self.number, of.diagonal, of.places,
-                of.blocks, self.downhill,
-            )  # fmt: skip
+            self._add_block(mesh, start, stop)
 
     def _slope_block(
         self, field: KernelField, mesh: Mesh, tol: float, start: int, stop: int
@@ -230,6 +242,21 @@ class System:
             )
 
         in_ranges(work, stop - start, _RANGE)
+
+    def _add_block(self, mesh: Mesh, start: int, stop: int) -> None:
+        of, slopes, shares = self.matrix, self._slopes, self._shares
+
+        def work(first: int, last: int) -> None:
+            for half in range(first, last):
+                if half == 0:
+                    _add_corners(mesh, start, stop, slopes, shares, of.diagonal, self.downhill)
+                else:
+                    _add_edges(mesh, start, stop, slopes, shares, self.number, of.places, of.blocks)
+
+        if stop - start < _RANGE:
+            work(0, 2)
+        else:
+            in_ranges(work, 2, 1)
 
 
 @compiled
