@@ -28,7 +28,7 @@ _CHUNK = 512  # triangles whose samples, and what f makes of them, stay in a cor
 # margin.
 _REMAINDER = 0.3
 # Remainder that is let be, as a share of the largest error; the second where a limit is to be kept.
-_TIGHT, _TIGHT_ENOUGH = 0.001, 0.004
+_TIGHT, _TIGHT_ENOUGH = 0.001, 0.012
 _DEPTH = 4
 # Across a kink the remainder only halves with the samples' distance: where that leaves open whether
 # a limit is kept, and pieces of triangles are few, they may be finer.
