@@ -66,6 +66,7 @@ _PRESSES = 4  # rounds of pressing on Hermite's errors, which are cheap
 _STRAINED = 16  # moves of each vertex that strain is evened out by
 _SPREADING = 8  # moves of each vertex that violations of a large mesh are spread by
 _SCATTER = 1_500  # triangles below which a round and a cycle pay in any case: numbers vary much
+_BESIDE = 1.03  # by which more, for those beside them may be underestimated as well
 _LOUDEST = 2.0  # share by which errors are multiplied, at most, where they were underestimated
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Hermite's formula.
@@ -285,7 +286,8 @@ def repair(
     corners = mesh.tv[slots]
     moved = np.zeros(len(mesh.x), np.uint8)
     moved[corners] = 1
-    np.maximum.at(mesh.share, corners, (mesh.share[corners] * errors[:, None]).clip(1.0, _LOUDEST))
+    louder = mesh.share[corners] * _BESIDE * errors[:, None]
+    np.maximum.at(mesh.share, corners, louder.clip(1.0, _LOUDEST))
     evaluate_all(field, mesh, tol, moved)
     queue = make_queue(len(mesh.x))
     split_listed(field, mesh, tol, queue, slots[worst_errors(mesh)[slots] <= 1.0])
@@ -380,7 +382,7 @@ def _remove(
         removed = 0
         for first in range(0, len(candidates), 2000):
             part = candidates[first : first + 2000]
-            removed += removal_round(field, mesh, tol, queue, part, visits, 30.0, stamp, number)[0]
+            removed += removal_round(field, mesh, tol, queue, part, visits, 30.0, stamp, number)
             report((number - 1 + (first + len(part)) / len(candidates)) / rounds)
         if everywhere and number > 1 and removed == 0:
             break
