@@ -123,9 +123,10 @@ class _Job:
         fits = self.fits(lattice)
         laid = lattice if fits else None
         del lattice  # one that does not fit is of no use, and large
-        number = how.drafts
+        number, kept, most = how.drafts, how.kept[1], how.cycled[1]
         if fits:
-            number, cost = how.lattices, cost / _FITTING
+            number, kept, most = how.lattices, how.kept[0], how.cycled[0]
+            cost /= _FITTING
         number = max(1, min(number, int(how.triangles // cost)))
 
         def drafted(turn: int, report: Report = lambda _: None) -> FirstMesh:
@@ -139,9 +140,8 @@ class _Job:
                 best.append(drafted(0, report))
             else:
                 for done, start in enumerate(pool.map(drafted, range(number)), 1):
-                    best = sorted([*best, start], key=_size)[: how.kept]
+                    best = sorted([*best, start], key=_size)[:kept]
                     report(done / number)
-            most = how.cycled[0] if fits else how.cycled[1]
             ends = pool.map(
                 lambda start: self.cycled(start, tol, min(how.cycles, most // _size(start))), best
             )

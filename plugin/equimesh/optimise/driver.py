@@ -65,7 +65,8 @@ _FEW = 0.01  # of triangles violated, which are mended one by one rather than al
 _PRESSES = 4  # rounds of pressing on Hermite's errors, which are cheap
 _STRAINED = 16  # moves of each vertex that strain is evened out by
 _SPREADING = 8  # moves of each vertex that violations of a large mesh are spread by
-_SCATTER = 1_500  # triangles below which a round and a cycle pay in any case: numbers vary much
+# Triangles below which a round and a cycle pay in any case, for numbers vary much, and two cycles.
+_SCATTER, _SCATTER_MORE = 1_500, 500
 _BESIDE = 1.03  # by which more, for those beside them may be underestimated as well
 _LOUDEST = 2.0  # share by which errors are multiplied, at most, where they were underestimated
 _IDLE = 20  # cycles without a gain after which there is no more
@@ -174,7 +175,8 @@ def cycled(
     how = EFFORTS[effort]
     best, size, idle = mesh, triangles_in(mesh), 0
     for number in range(most):
-        if size <= how.goal(least) and (number > 0 or size > _SCATTER):
+        sure = int(size <= _SCATTER) + int(size <= _SCATTER_MORE)
+        if size <= how.goal(least) and number >= sure:
             break
         low, high = how.aims if is_wide(best) else AIMS
         error = low + (high - low) * math.fmod(_GOLDEN * (number + 1), 1.0)

@@ -22,7 +22,7 @@ class Effort:
     moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the same for the best
     of them on the true errors, which are pressed in ``presses`` rounds. In between the ``kept``
     best drafts go through up to ``cycles`` of exchange and repair, as many as ``cycled`` triangles
-    allow, the first number where lattices fit, for there is less to gain. In wide meshes they aim
+    allow, the first numbers where lattices fit, for there is less to gain. In wide meshes they aim
     at errors between the two of ``aims``: above 1 where visits are few, since not all that pays
     where a whole mesh gives way does so where only a neighbourhood can. A mesh of ``1 + enough /
     sqrt(N*)`` times N* triangles gets no more of either, or one if it is very small: what its
@@ -39,7 +39,7 @@ class Effort:
     last_rounds: int
     last_visits: int
     presses: int
-    kept: int
+    kept: tuple[int, int]
     cycles: int
     cycled: tuple[int, int]
     enough: float
@@ -51,7 +51,11 @@ class Effort:
 
 
 EFFORTS = {
-    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, 1, 0, (0, 0), 0.0),
-    "balanced": Effort(2, 2, 3_000, 30, 6, 0, 30, 0, 0, 1, 1, 3, (4_000, 60_000), 4.5, (1.0, 1.08)),
-    "best": Effort(200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, 8, 40, (300_000, 300_000), 0.0),
+    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, (1, 1), 0, (0, 0), 0.0),
+    "balanced": Effort(
+        2, 2, 3_000, 30, 6, 0, 30, 0, 0, 1, (1, 2), 3, (4_000, 60_000), 4.5, (1.0, 1.08)
+    ),
+    "best": Effort(
+        200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, (8, 8), 40, (300_000, 300_000), 0.0
+    ),
 }

@@ -43,7 +43,8 @@ _ROUNDS = 2  # of cuts
 _BLOCK = 64  # slots side by side that a part is given
 _DIRECTIONS = 4  # of lines
 _SAMPLE = 8_192  # triangles, about, that a line is chosen by
-_MOVES = 60  # a cut takes as long as the move of one vertex for so many triangles
+# What moves of vertices a cut pays for, at least: so many, and so many more for each triangle.
+_MOVES, _MOVES_EACH = 400, 0.02
 
 
 def in_parts(
@@ -60,7 +61,7 @@ def in_parts(
     for _ in range(_ROUNDS):
         size = int(mesh.count[TRIANGLES] - mesh.count[FREE_TRIANGLES])
         halvings = sum(size >= least for least in _HALVED)
-        if halvings == 0 or moves * len(rows) * _MOVES < size:
+        if halvings == 0 or moves * len(rows) < _MOVES + _MOVES_EACH * size:
             break
         parts, inside = _cut(mesh, vertices[rows], halvings)
         total += _changed(
