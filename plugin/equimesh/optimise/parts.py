@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,7 @@ Work = Callable[[Mesh, Queue, NDArray[np.int64]], int]
 _HALVED = (1_500, 12_000, 50_000)  # triangles from which on a mesh is halved, once more each time
 _REACH = 3  # steps between a seam and what is changed meanwhile
 _ROUNDS = 2  # of cuts
+_ROWS = 8_000  # of a part's journal
 _BLOCK = 64  # slots side by side that a part is given
 _DIRECTIONS = 4  # of lines
 _SAMPLE = 8_192  # triangles, about, that a line is chosen by
@@ -68,6 +69,7 @@ def in_parts(
             parts, [rows[inside[vertices[rows]] == k] for k in range(len(parts))], work
         )
         _join(mesh, parts)
+        _journals.extend({name: getattr(part, name) for name in PASSING} for part in parts)
         rows = rows[inside[vertices[rows]] < 0]
     return total + work(mesh, queue, rows)
 
@@ -75,13 +77,19 @@ def in_parts(
 def _changed(parts: list[Mesh], rows: list[NDArray[np.int64]], work: Work) -> int:
     """The sum of what ``work`` returns on each part's rows."""
     done = np.zeros(len(parts), np.int64)
+    queues = [make_queue(len(part.x)) for part in parts]  # what another thread makes stays its own
 
     def change(first: int, last: int) -> None:
         for k in range(first, last):
-            done[k] = work(parts[k], make_queue(len(parts[k].x)), rows[k])
+            done[k] = work(parts[k], queues[k], rows[k])
 
     in_ranges(change, len(parts), 1)
     return int(done.sum())
+
+
+# Journals and scratch of parts that are closed, for the next: made anew by one thread after another
+# they would spread over all memory.
+_journals: list[dict[str, NDArray[Any]]] = []
 
 
 class _Slots(NamedTuple):
@@ -100,12 +108,13 @@ _SLOTS = (
 
 def _cut(
     mesh: Mesh, vertices: NDArray[np.int64], halvings: int
-) -> tuple[list[Mesh], NDArray[np.int64]]:
+) -> tuple[list[Mesh], NDArray[np.int8]]:
     """The parts, and (v,) in which of them a vertex is, -1 near a seam."""
     number = 2**halvings
     part = _halved(mesh, vertices, halvings)
     v2t = np.tile(mesh.v2t, (number, 1))
-    of, seam, steps = np.full((len(part), 2), -1), np.empty_like(part), np.full(len(part), -1)
+    of, steps = np.full((len(part), 2), -1, np.int8), np.full(len(part), -1, np.int8)
+    seam = np.empty(len(part), np.int32)
     held = _find_seams(mesh, part, of, seam)
     steps[seam[:held]] = 0
     _walk(mesh, seam, held, steps)
@@ -114,40 +123,45 @@ def _cut(
     return parts, np.where(steps < 0, of[:, 0], -1)
 
 
-def _halved(mesh: Mesh, vertices: NDArray[np.int64], halvings: int) -> NDArray[np.int64]:
+def _halved(mesh: Mesh, vertices: NDArray[np.int64], halvings: int) -> NDArray[np.int8]:
     """(v,) the part that each vertex belongs to."""
     used, count = int(mesh.count[VERTICES]), int(mesh.count[TRIANGLES])
-    corners = mesh.tv[: count : max(1, count // _SAMPLE)]
-    corners = corners[corners[:, 0] >= 0]
-    x, y = (at[:used] / max(float(np.ptp(at[vertices])), 1e-300) for at in (mesh.x, mesh.y))
-    angles = (math.pi * k / _DIRECTIONS for k in range(_DIRECTIONS))
-    along = [math.cos(angle) * x + math.sin(angle) * y for angle in angles]
-    part, changed = np.zeros(used, np.int64), np.zeros(used, np.bool_)
+    near = mesh.tv[: count : max(1, count // _SAMPLE)]
+    changed = np.zeros(used, np.bool_)
     changed[vertices] = True
-    near = corners[changed[corners].any(1)]
+    near = near[near[:, 0] >= 0]  # others may number vertices that are no more
+    near = near[changed[near].any(1)]
+    wide, high = (max(float(np.ptp(at[vertices])), 1e-300) for at in (mesh.x, mesh.y))
+    part = np.zeros(used, np.int8)
     for _ in range(halvings):
-        beyond = np.zeros(used, np.bool_)
+        beyond = np.zeros(used, np.int8)
         for k in range(int(part.max()) + 1):
-            listed = vertices[part[vertices] == k]
+            listed, crossed = vertices[part[vertices] == k], near[(part[near] == k).all(1)]
             if len(listed) == 0:
                 continue
-            mine = near[(part[near] == k).all(1)]
             fewest = math.inf
-            for key in along:
-                middle = np.median(key[listed])
-                sides = (key[mine] > middle).sum(1)
-                crossed = int(((sides > 0) & (sides < 3)).sum())
-                if crossed < fewest:
-                    fewest, best, at = crossed, key, middle
-            beyond |= (part == k) & (best > at)
+            for number in range(_DIRECTIONS):
+                angle = math.pi * number / _DIRECTIONS
+                u, v = math.cos(angle) / wide, math.sin(angle) / high
+                middle = np.median(u * mesh.x[listed] + v * mesh.y[listed])
+                sides = (u * mesh.x[crossed] + v * mesh.y[crossed] > middle).sum(1)
+                cuts = int(((sides > 0) & (sides < 3)).sum())
+                if cuts < fewest:
+                    fewest, best = cuts, (u, v, middle)
+            mine = np.flatnonzero(part == k)
+            u, v, middle = best
+            beyond[mine] = u * mesh.x[mine] + v * mesh.y[mine] > middle
         part = 2 * part + beyond
     return part
 
 
 def _part(mesh: Mesh, k: int, number: int, v2t: NDArray[np.int64]) -> Mesh:
     """Part ``k`` of so many: the same arrays, but for what threads must not share."""
-    own = {name: np.zeros_like(getattr(mesh, name)) for name in PASSING}
-    own |= {"v2t": v2t, "count": apart(mesh.count)}
+    try:
+        own = _journals.pop()
+    except IndexError:
+        own = {name: np.empty_like(getattr(mesh, name)[:_ROWS]) for name in PASSING}
+    own = own | {"v2t": v2t, "count": apart(mesh.count)}
     for slots, size in zip(_SLOTS, (len(mesh.tv), len(mesh.x)), strict=True):
         stack = np.empty(size, np.int64)
         given = _given(mesh, slots, size, k, number)

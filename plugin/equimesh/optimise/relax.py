@@ -22,20 +22,20 @@ __all__ = ["Queue", "make_queue", "push", "push_listed", "push_violated", "relax
 class Queue(NamedTuple):
     """First in, first out; ``waiting`` marks members, ``visits`` counts within an epoch."""
 
-    items: NDArray[np.int64]
+    items: NDArray[np.int32]
     waiting: NDArray[np.uint8]
-    visits: NDArray[np.int64]
-    stamp: NDArray[np.int64]
+    visits: NDArray[np.int32]
+    stamp: NDArray[np.int32]
     state: NDArray[np.int64]  # head, length, epoch
 
 
 def make_queue(vertices: int) -> Queue:
     """A queue for vertices 0 ... ``vertices`` - 1."""
     return Queue(
-        np.zeros(vertices, np.int64),
+        np.empty(vertices, np.int32),
         np.zeros(vertices, np.uint8),
-        np.zeros(vertices, np.int64),
-        np.zeros(vertices, np.int64),
+        np.empty(vertices, np.int32),
+        np.zeros(vertices, np.int32),
         apart(np.zeros(3, np.int64)),
     )
 

@@ -152,7 +152,9 @@ def relax_all(F: KernelField, m: Mesh, tol: float, q: Queue, per_vertex: int) ->
     """Relax around every violation; what has wandered far from them is left as it is."""
     clear(q)
     push_violated(m, q)
-    violated = q.items[(int(q.state[0]) + np.arange(int(q.state[1]))) % len(q.items)]
+    violated = q.items[(int(q.state[0]) + np.arange(int(q.state[1]))) % len(q.items)].astype(
+        np.int64
+    )
 
     def work(m: Mesh, q: Queue, rows: NDArray[np.int64]) -> int:
         clear(q)
