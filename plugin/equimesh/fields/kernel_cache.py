@@ -7,8 +7,10 @@ what it calls from other files.
 from __future__ import annotations
 
 import functools
+import gc
 import hashlib
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import CodeType, ModuleType
 from typing import Any
 
@@ -42,10 +44,24 @@ class _Files(FunctionCache):  # type: ignore[misc]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Also what is compiled with a kernel from disk in it needs what that calls by name."""
-        loaded = super().load_overload(sig, target_context)
+        with _uncollected():
+            loaded = super().load_overload(sig, target_context)
         if loaded is not None:
             loaded.library._reload_init.update(loaded.reload_init)
         return loaded
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Within it nothing is looked through for garbage: of what a kernel brings there is much, all
+    of it to stay, and looking through it while it comes takes as long as reading it."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collecting:
+            gc.enable()
 
 
 @functools.cache
