@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import solve_ivp
 from scipy.spatial import cKDTree
 
 from equimesh.errors import InputError
@@ -208,6 +207,8 @@ class FlatMap:
             The Christoffel symbols, ``christoffel`` or ``harmonic_christoffel``.
         """
         state = np.concatenate([np.zeros(2), self.start.ravel()])
+        from scipy.integrate import solve_ivp
+
         corners = np.vstack([self.origin, np.asarray(path, dtype=np.float64).reshape(-1, 2)])
         for p, q in itertools.pairwise(corners):
             step = (q - p)[None]
