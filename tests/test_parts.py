@@ -12,6 +12,7 @@ from surfaces import FRANKE
 import equimesh
 from equimesh.fields.workers import apart
 from equimesh.optimise import parts, sweep
+from equimesh.optimise.insertion import split_edge
 from equimesh.optimise.mesh import FREE, GONE, HELD, SEAM
 from equimesh.optimise.relax import make_queue
 from equimesh.optimise.topology import star
@@ -52,6 +53,15 @@ def test_what_was_cut_and_closed_again_is_the_same_mesh(name, seed, halvings):
     del before["v2t"], after["v2t"]  # any triangle of a vertex will do
     assert_same(before, after)
     assert_mesh(mesh, DOMAINS[name], 1.0, FIELDS[name])
+
+
+def test_an_edge_on_a_seam_is_not_split(name):
+    field, mesh = FIELDS[name], make(DOMAINS[name], 0, FIELDS[name], inner=200)
+    pieces, _ = parts._cut(mesh, vertices_of(mesh), 1)
+    seams = np.argwhere((mesh.wall >= SEAM) & (mesh.tv[:, :1] >= 0))
+    assert len(seams) > 10
+    for t, k in seams:
+        assert split_edge(field, pieces[0], TOL, t, k, 0.5) == -1
 
 
 @given(seed=SEEDS, share=st.floats(0.02, 1.0), size=st.sampled_from([0, 100, 10_000]))
