@@ -12,6 +12,7 @@ from surfaces import FRANKE
 import equimesh
 from equimesh.fields.workers import apart
 from equimesh.optimise import parts, sweep
+from equimesh.optimise.flips import flip_all
 from equimesh.optimise.insertion import split_edge
 from equimesh.optimise.mesh import FREE, GONE, HELD, SEAM
 from equimesh.optimise.relax import make_queue
@@ -92,7 +93,7 @@ def changed(name, seed, threads, halved=(100, 400)):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(parts, "_HALVED", halved)
         patch.setattr("numba.config.NUMBA_NUM_THREADS", threads)
-        sweep.flip_all(field, mesh, TOL, 50)
+        flip_all(field, mesh, TOL, 50)
         sweep.relax_everything(field, mesh, TOL, queue, 4)
         before = len(vertices_of(mesh))
         listed = np.flatnonzero(mesh.kind == FREE)

@@ -17,9 +17,10 @@ from equimesh.optimise.energy import (
     set_inner,
     worst_of,
 )
+from equimesh.optimise.flips import try_flip
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import FIXED, FREE, GONE, build, compact, enlarged
-from equimesh.optimise.moves import move_vertex, star_energy, try_flip
+from equimesh.optimise.moves import move_vertex, star_energy
 from equimesh.optimise.removal import remove_if_clean, remove_vertex, touched_excess
 from equimesh.optimise.topology import ample, begin, commit, flip, positive, rollback, star
 

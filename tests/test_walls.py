@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from equimesh.fields.dispatch import value
 from equimesh.fields.function import Function
 from equimesh.optimise.energy import edge_of, evaluate_all, inner_of, penalty
+from equimesh.optimise.flips import try_flip
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import FIXED, FREE, GONE, SLIDES, build
-from equimesh.optimise.moves import move_vertex, try_flip
+from equimesh.optimise.moves import move_vertex
 from equimesh.optimise.removal import remove_vertex
 from equimesh.optimise.topology import ample, begin, commit, positive, rollback, star
 from equimesh.triangulation import constrained_delaunay

@@ -206,9 +206,9 @@ class FlatMap:
         symbols
             The Christoffel symbols, ``christoffel`` or ``harmonic_christoffel``.
         """
-        state = np.concatenate([np.zeros(2), self.start.ravel()])
         from scipy.integrate import solve_ivp
 
+        state = np.concatenate([np.zeros(2), self.start.ravel()])
         corners = np.vstack([self.origin, np.asarray(path, dtype=np.float64).reshape(-1, 2)])
         for p, q in itertools.pairwise(corners):
             step = (q - p)[None]

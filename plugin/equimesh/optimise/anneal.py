@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from equimesh.fields.compiled import compiled, inlined
 from equimesh.fields.kernel import KernelField
 from equimesh.optimise.energy import evaluate_all, penalty, worst_of
+from equimesh.optimise.flips import flip_all
 from equimesh.optimise.mesh import (
     EPOCH,
     FIRM,
@@ -38,7 +39,6 @@ from equimesh.optimise.parts import in_parts
 from equimesh.optimise.relax import Queue, clear, push, relax
 from equimesh.optimise.removal import remove_vertex
 from equimesh.optimise.sweep import (
-    flip_all,
     relax_everything,
     split_at_worst,
     vertex_waste,

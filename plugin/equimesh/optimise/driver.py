@@ -13,6 +13,7 @@ from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.optimise.anneal import VISITS, anneal, exchange, press
 from equimesh.optimise.effort import AIMS, EFFORTS
 from equimesh.optimise.energy import evaluate_all, worst_errors
+from equimesh.optimise.flips import flip_all
 from equimesh.optimise.greedy import refine
 from equimesh.optimise.mesh import (
     EVEN,
@@ -34,7 +35,6 @@ from equimesh.optimise.regions import even_out
 from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.search import search_all
 from equimesh.optimise.sweep import (
-    flip_all,
     insert_round,
     lift_all,
     relax_all,

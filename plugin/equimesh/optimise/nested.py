@@ -16,11 +16,11 @@ import numpy as np
 from equimesh.fields.kernel import KernelField
 from equimesh.optimise.anneal import VISITS, exchange_once
 from equimesh.optimise.energy import evaluate_all
+from equimesh.optimise.flips import flip_all
 from equimesh.optimise.mesh import FIRM, HARD, MANNER, SETTLE, SOFT, Mesh
 from equimesh.optimise.newton import relax_together
 from equimesh.optimise.regions import regional_shares
 from equimesh.optimise.relax import make_queue
-from equimesh.optimise.sweep import flip_all
 
 __all__ = ["AIM", "Nested", "nested_for", "settle"]
 

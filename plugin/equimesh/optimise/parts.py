@@ -29,6 +29,7 @@ from equimesh.optimise.mesh import (
     TRIANGLES,
     VERTICES,
     Mesh,
+    triangles_in,
 )
 from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.topology import star
@@ -60,7 +61,7 @@ def in_parts(
     """
     rows, total = np.arange(len(vertices)), 0
     for _ in range(_ROUNDS):
-        size = int(mesh.count[TRIANGLES] - mesh.count[FREE_TRIANGLES])
+        size = triangles_in(mesh)
         halvings = sum(size >= least for least in _HALVED)
         if halvings == 0 or moves * len(rows) < _MOVES + _MOVES_EACH * size:
             break

@@ -11,11 +11,14 @@ from equimesh.fields.compiled import compiled, outlined
 from equimesh.fields.reference import by_reference
 from equimesh.fields.workers import apart
 from equimesh.optimise.energy import penalty
+from equimesh.optimise.flips import IDLE, try_flip
 from equimesh.optimise.mesh import GONE
-from equimesh.optimise.moves import IDLE, move_vertex, try_flip
+from equimesh.optimise.moves import move_vertex
 from equimesh.optimise.topology import room_left, star
 
-__all__ = ["Queue", "make_queue", "push", "push_listed", "push_violated", "relax", "take"]
+__all__ = [
+    "Queue", "make_queue", "push", "push_listed", "push_violated", "relax", "take", "waiting_in",
+]  # fmt: skip
 
 
 @by_reference
@@ -47,6 +50,12 @@ def push(q, v):
         q.items[(q.state[0] + q.state[1]) % size] = v
         q.state[1] += 1
         q.waiting[v] = 1
+
+
+def waiting_in(q: Queue) -> NDArray[np.int64]:
+    """(n,) the vertices in the queue, the first first."""
+    head, length, _ = q.state
+    return np.roll(q.items, -head)[:length].astype(np.int64)
 
 
 @compiled
@@ -85,6 +94,7 @@ def take(m, q, per_vertex):
 
 @compiled
 def push_listed(q, vertices):
+    """The vertices (n,) in their order."""
     for i in range(vertices.shape[0]):
         push(q, vertices[i])
 

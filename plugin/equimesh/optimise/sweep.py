@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 from equimesh.fields.compiled import allocating, compiled, inlined, outlined
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.fields.patch_kernels import derivatives2
-from equimesh.fields.workers import in_ranges
 from equimesh.optimise.angles import by_angle
 from equimesh.optimise.centres import split_for_angle
-from equimesh.optimise.energy import ROOM, penalty, set_jet, worst_of
+from equimesh.optimise.energy import ROOM, set_jet, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import (
-    EPOCH,
     FREE,
     GONE,
     MANNER,
@@ -24,18 +22,23 @@ from equimesh.optimise.mesh import (
     SETTLE,
     SLIDES,
     SPREAD,
-    TRIANGLES,
     VERTICES,
     Mesh,
 )
-from equimesh.optimise.moves import IDLE, list_flips, try_flip
 from equimesh.optimise.parts import in_parts
-from equimesh.optimise.relax import Queue, clear, push, push_listed, push_violated, relax
+from equimesh.optimise.relax import (
+    Queue,
+    clear,
+    push,
+    push_listed,
+    push_violated,
+    relax,
+    waiting_in,
+)
 from equimesh.optimise.removal import remove_if_clean, remove_vertex, touched_excess
 from equimesh.optimise.topology import begin, commit, rollback, room_left, star
 
 __all__ = [
-    "flip_all",
     "insert_round",
     "lift_all",
     "relax_all",
@@ -81,40 +84,6 @@ def step_aside(F, m, tol):
 
 
 @compiled
-def _flip_listed(F, m, tol, worth, passes):
-    """Flip the edges marked in ``worth`` (t, 3); then those for which that is a new reason."""
-    total = 0
-    for number in range(passes):
-        seen = m.count[EPOCH]
-        m.count[EPOCH] += 1
-        made = 0
-        for t in range(m.count[TRIANGLES]):
-            if m.tv[t, 0] < 0 or (number > 0 and m.mark[t] < seen):
-                continue
-            for k in range(3):
-                u = m.tn[t, k]
-                if number == 0:
-                    tried = worth[t, k]
-                else:
-                    tried = penalty(m, m.ee[t, k]) + penalty(m, m.ie[t]) > IDLE
-                if tried and try_flip(F, m, tol, t, k):
-                    m.mark[t] = m.mark[u] = m.count[EPOCH]
-                    made += 1
-        total += made
-        if made == 0:
-            break
-    return total
-
-
-def flip_all(F: KernelField, m: Mesh, tol: float, passes: int) -> int:
-    """Sweep over all edges until none is worth flipping; returns the number of flips."""
-    n = int(m.count[TRIANGLES])
-    worth = np.zeros((n, 3), np.bool_)
-    in_ranges(lambda first, last: list_flips(F, m, tol, first, last, worth), n)
-    return int(_flip_listed(F, m, tol, worth, passes))
-
-
-@compiled
 def violations(m, limit):
     """How many triangles have an error above ``limit``, and the largest error."""
     count, worst = 0, 0.0
@@ -152,26 +121,30 @@ def relax_all(F: KernelField, m: Mesh, tol: float, q: Queue, per_vertex: int) ->
     """Relax around every violation; what has wandered far from them is left as it is."""
     clear(q)
     push_violated(m, q)
-    violated = q.items[(int(q.state[0]) + np.arange(int(q.state[1]))) % len(q.items)].astype(
-        np.int64
-    )
-
-    def work(m: Mesh, q: Queue, rows: NDArray[np.int64]) -> int:
-        clear(q)
-        push_listed(q, violated[rows])
-        return int(relax(F, m, tol, q, max(_WANDERING, _AROUND * len(rows)), per_vertex))
-
-    in_parts(m, q, violated, work, _OFTEN)
+    _relax_around(F, m, tol, q, waiting_in(q), per_vertex, _WANDERING)
 
 
 def relax_everything(F: KernelField, m: Mesh, tol: float, q: Queue, per_vertex: int) -> None:
     """Relax around every vertex."""
     vertices = np.flatnonzero(m.kind[: int(m.count[VERTICES])] != GONE)
+    _relax_around(F, m, tol, q, vertices, per_vertex, 1 << 60)
+
+
+def _relax_around(
+    F: KernelField,
+    m: Mesh,
+    tol: float,
+    q: Queue,
+    vertices: NDArray[np.int64],
+    per_vertex: int,
+    least: int,
+) -> None:
+    """Relax around the ``vertices`` (n,), in ``least`` visits or as many as they may need."""
 
     def work(m: Mesh, q: Queue, rows: NDArray[np.int64]) -> int:
         clear(q)
         push_listed(q, vertices[rows])
-        return int(relax(F, m, tol, q, 1 << 60, per_vertex))
+        return int(relax(F, m, tol, q, max(least, _AROUND * len(rows)), per_vertex))
 
     in_parts(m, q, vertices, work, _OFTEN)
 

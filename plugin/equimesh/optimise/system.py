@@ -169,9 +169,32 @@ def _slopes(F, m, tol, first, last, before, slopes, shares):
             shares[t - before, k, 0], shares[t - before, k, 1] = share * by, share * by_twice
 
 
+@inlined
+def _add_corner(m, t, i, by, by_twice, g, diagonal, downhill):
+    v = m.tv[t, i]
+    downhill[v, 0] -= by * g[i, 0]
+    downhill[v, 1] -= by * g[i, 1]
+    diagonal[v, 0] += by_twice * g[i, 0] * g[i, 0]
+    diagonal[v, 1] += by_twice * g[i, 0] * g[i, 1]
+    diagonal[v, 2] += by_twice * g[i, 1] * g[i, 1]
+
+
+@inlined
+def _add_side(m, t, i, by_twice, g, number, places, blocks):
+    j, n = (i + 1) % 3, number[t, i]
+    low, high = (i, j) if m.tv[t, i] < m.tv[t, j] else (j, i)
+    for side in range(2):
+        block = blocks[places[n, side]]
+        row, column = (low, high) if side == 0 else (high, low)
+        for p in range(2):
+            block[2 * p] += by_twice * g[row, p] * g[column, 0]
+            block[2 * p + 1] += by_twice * g[row, p] * g[column, 1]
+
+
 @compiled
-def _add_corners(m, first, last, slopes, shares, diagonal, downhill):
-    """The parts of triangles ``first`` ... ``last`` in the gradient and in the vertices' blocks."""
+def _add(m, first, last, slopes, shares, number, diagonal, places, blocks, downhill, what):
+    """The parts of triangles ``first`` ... ``last`` in the gradient and in the vertices' blocks
+    (``what`` 0) or in the edges' (1)."""
     for t in range(first, last):
         for k in range(4):
             by, by_twice = shares[t - first, k, 0], shares[t - first, k, 1]
@@ -179,36 +202,11 @@ def _add_corners(m, first, last, slopes, shares, diagonal, downhill):
                 continue
             g = slopes[t - first, k]
             for i in range(3):
-                if i == (k + 2) % 3 and k < 3:  # across the edge
-                    continue
-                v = m.tv[t, i]
-                downhill[v, 0] -= by * g[i, 0]
-                downhill[v, 1] -= by * g[i, 1]
-                diagonal[v, 0] += by_twice * g[i, 0] * g[i, 0]
-                diagonal[v, 1] += by_twice * g[i, 0] * g[i, 1]
-                diagonal[v, 2] += by_twice * g[i, 1] * g[i, 1]
-
-
-@compiled
-def _add_edges(m, first, last, slopes, shares, number, places, blocks):
-    """The same in the edges' blocks."""
-    for t in range(first, last):
-        for k in range(4):
-            by, by_twice = shares[t - first, k, 0], shares[t - first, k, 1]
-            if by == 0.0:
-                continue
-            g = slopes[t - first, k]
-            for i in range(3):
-                if i != k and k < 3:
-                    continue
-                j, n = (i + 1) % 3, number[t, i]
-                low, high = (i, j) if m.tv[t, i] < m.tv[t, j] else (j, i)
-                for side in range(2):
-                    block = blocks[places[n, side]]
-                    row, column = (low, high) if side == 0 else (high, low)
-                    for p in range(2):
-                        block[2 * p] += by_twice * g[row, p] * g[column, 0]
-                        block[2 * p + 1] += by_twice * g[row, p] * g[column, 1]
+                # An edge's error has no slope at the corner across, so two sides have none.
+                if what == 0 and (k == 3 or i != (k + 2) % 3):
+                    _add_corner(m, t, i, by, by_twice, g, diagonal, downhill)
+                elif what == 1 and (k == 3 or i == k):
+                    _add_side(m, t, i, by_twice, g, number, places, blocks)
 
 
 class System:
@@ -244,19 +242,16 @@ class System:
         in_ranges(work, stop - start, _RANGE)
 
     def _add_block(self, mesh: Mesh, start: int, stop: int) -> None:
-        of, slopes, shares = self.matrix, self._slopes, self._shares
+        of = self.matrix
 
         def work(first: int, last: int) -> None:
-            for half in range(first, last):
-                if half == 0:
-                    _add_corners(mesh, start, stop, slopes, shares, of.diagonal, self.downhill)
-                else:
-                    _add_edges(mesh, start, stop, slopes, shares, self.number, of.places, of.blocks)
+            for what in range(first, last):
+                _add(
+                    mesh, start, stop, self._slopes, self._shares, self.number, of.diagonal,
+                    of.places, of.blocks, self.downhill, what,
+                )  # fmt: skip
 
-        if stop - start < _RANGE:
-            work(0, 2)
-        else:
-            in_ranges(work, 2, 1)
+        in_ranges(work, 2, 1 if stop - start >= _RANGE else 2)
 
 
 @compiled
