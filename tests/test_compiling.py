@@ -40,3 +40,11 @@ def test_cached_kernels_run_in_silence():
             [sys.executable, "-c", RUN], capture_output=True, text=True, check=True, env=os.environ
         )
     assert run.stderr == ""
+
+
+def test_what_a_function_does_not_need_is_not_loaded():
+    slow = "{'scipy.sparse', 'scipy.spatial', 'scipy.integrate', 'scipy.interpolate', 'rasterio'}"
+    subprocess.run(
+        [sys.executable, "-c", f"{RUN}; import sys; assert not {slow} & set(sys.modules)"],
+        check=True, env=os.environ,
+    )  # fmt: skip

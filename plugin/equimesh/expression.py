@@ -17,6 +17,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+import scipy
 import sympy
 from numpy.typing import ArrayLike, NDArray
 from sympy.printing.numpy import SciPyPrinter
@@ -86,6 +87,7 @@ _NUMERIC: dict[str, Callable[..., Any]] = {
     "_Sign": np.sign,
     "_Abs": np.abs,
     "_Max": np.maximum,
+    "erf": lambda u: scipy.special.erf(u),
 }
 
 
@@ -204,7 +206,7 @@ class _Derivatives:
     def __getitem__(self, order: int) -> Callable[[Array, Array], list[Any]]:
         if order not in self.functions:
             self.functions[order] = sympy.lambdify(
-                (X, Y), self._terms(order), modules=[_NUMERIC, "scipy", "numpy"],
+                (X, Y), self._terms(order), modules=[_NUMERIC, "numpy"],
                 printer=_Printer({"fully_qualified_modules": False}), cse=True,
             )  # fmt: skip
         return self.functions[order]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 import shapely
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from equimesh.domain import sides_of
 from equimesh.errors import InputError
@@ -153,7 +153,7 @@ def _equilateral_cover(
     border_image = np.stack(flat_map.forward(*border.T), axis=1)
     image, _ = tile(vectors, flat_map.image_bounds, offset)
     spacing = float(np.linalg.norm(vectors[0]))
-    distance, _ = cKDTree(border_image).query(image)
+    distance, _ = scipy.spatial.cKDTree(border_image).query(image)
     image = image[distance > _ROOM * spacing]
     points = np.stack(flat_map.inverse(*image.T), axis=1)
     inside = np.isfinite(points[:, 0])

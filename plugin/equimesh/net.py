@@ -12,10 +12,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 import shapely
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import breadth_first_order
 
 from equimesh.domain import domain_geometry
 from equimesh.errors import InputError
@@ -157,8 +156,8 @@ class Net:
         a, b = self.links.T
         number = np.arange(len(a)) + 1
         ends = np.concatenate([a, b]), np.concatenate([b, a])
-        graph = coo_array((np.tile(number, 2), ends), shape=(m, m)).tocsr()
-        order, before = breadth_first_order(graph, root, directed=True)
+        graph = scipy.sparse.coo_array((np.tile(number, 2), ends), shape=(m, m)).tocsr()
+        order, before = scipy.sparse.csgraph.breadth_first_order(graph, root, directed=True)
         if order.size < m:
             raise InputError(
                 "The domain is pinched to a point or a hair: give one piece that is connected "

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 import shapely
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from equimesh.errors import InputError
 
@@ -74,9 +72,9 @@ def noded(
 def _merged(points: Array, reach: float) -> IntArray:
     """(n,) the first of the points that are connected by steps of at most ``reach``."""
     n = len(points)
-    pairs = cKDTree(points).query_pairs(reach, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(n, n))
-    count, label = connected_components(graph, directed=False)
+    pairs = scipy.spatial.cKDTree(points).query_pairs(reach, output_type="ndarray")
+    graph = scipy.sparse.coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(n, n))
+    count, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     first = np.full(count, n, np.int64)
     np.minimum.at(first, label, np.arange(n))
     return np.asarray(first[label])

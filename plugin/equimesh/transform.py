@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 import shapely
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from equimesh.errors import InputError
 from equimesh.flatness import Flatness, derivatives_of, flatness_over
@@ -206,8 +206,6 @@ class FlatMap:
         symbols
             The Christoffel symbols, ``christoffel`` or ``harmonic_christoffel``.
         """
-        from scipy.integrate import solve_ivp
-
         state = np.concatenate([np.zeros(2), self.start.ravel()])
         corners = np.vstack([self.origin, np.asarray(path, dtype=np.float64).reshape(-1, 2)])
         for p, q in itertools.pairwise(corners):
@@ -221,7 +219,7 @@ class FlatMap:
                 return np.concatenate([jacobian @ step[0], (jacobian @ symbol).ravel()])
 
             size = float(np.abs(state).max())
-            solution = solve_ivp(
+            solution = scipy.integrate.solve_ivp(
                 rate, (0.0, 1.0), state, method="DOP853", rtol=1e-13, atol=1e-15 * size
             )
             if not solution.success:
@@ -234,7 +232,7 @@ class FlatMap:
 
     @cached_property
     def _image_tree(self) -> Any:
-        return cKDTree(self._anchored[0])
+        return scipy.spatial.cKDTree(self._anchored[0])
 
     def _at(self, points: Array) -> tuple[Array, Array]:
         """The y (n, 2) and J (n, 2, 2), each carried from the anchor that the point sees."""

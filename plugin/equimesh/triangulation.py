@@ -69,13 +69,12 @@ def _left_of(
     twin_key = end * n + start
     place = np.minimum(np.searchsorted(key[order], twin_key), 3 * m - 1)
     twin = order[place]
-    open_edge = (key[twin] == twin_key) & ~is_wall
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    rows, cols = np.flatnonzero(open_edge) // 3, twin[open_edge] // 3
-    graph = coo_matrix((np.ones(len(rows), np.int8), (rows, cols)), shape=(m, m))
-    count, label = connected_components(graph, directed=False)
-    kept = np.zeros(count, bool)
-    kept[label[np.flatnonzero(among(wall, key)) // 3]] = True
-    return np.asarray(kept[label])
+    is_open = ((key[twin] == twin_key) & ~is_wall).reshape(-1, 3)
+    across = (twin // 3).reshape(-1, 3)
+    reached = np.zeros(m, bool)
+    front = np.unique(np.flatnonzero(among(wall, key)) // 3)
+    while front.size:
+        reached[front] = True
+        beyond = across[front][is_open[front]]
+        front = np.unique(beyond[~reached[beyond]])
+    return reached

@@ -6,12 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
+import scipy
 import shapely
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 from equimesh.errors import InputError
 from equimesh.fields.base import Array, IntArray
@@ -19,9 +19,6 @@ from equimesh.fields.kernel import RASTER, KernelField
 from equimesh.fields.measures import border_heights, heights, triangle_errors
 from equimesh.fields.raster_outline import cell_outline, simplified_outline
 from equimesh.frame import Frame
-
-if TYPE_CHECKING:
-    from scipy.interpolate import RectBivariateSpline
 
 __all__ = ["Border", "Bound", "Raster"]
 
@@ -270,21 +267,19 @@ class Raster:
         return shapely.transform(simplified_outline(local, missing), self._frame.to_user)
 
     @cached_property
-    def _fit(self) -> RectBivariateSpline:
+    def _fit(self) -> scipy.interpolate.RectBivariateSpline:
         """The C2 bicubic spline over (row, column)."""
-        # Slow to load, and only derivatives need them.
-        from scipy import ndimage
-        from scipy.interpolate import RectBivariateSpline
-
         heights = self.heights
         missing = np.isnan(heights)
         if missing.any():
-            nearest = ndimage.distance_transform_edt(
+            nearest = scipy.ndimage.distance_transform_edt(
                 missing, return_distances=False, return_indices=True
             )
             heights = heights[tuple(nearest)]
         (row, by_row), (column, by_column) = (_four_nodes(count) for count in heights.shape)
-        return RectBivariateSpline(row, column, by_row @ heights @ by_column.T, s=0)
+        return scipy.interpolate.RectBivariateSpline(
+            row, column, by_row @ heights @ by_column.T, s=0
+        )
 
     def _spline(self, row: Array, column: Array, down: int, across: int) -> Array:
         return np.asarray(self._fit.ev(row, column, dx=down, dy=across))
@@ -301,7 +296,7 @@ def _four_nodes(count: int) -> tuple[Array, Any]:
     """
     at = np.arange(count, dtype=np.float64)
     if count >= 4:
-        return at, sparse.eye_array(count)
+        return at, scipy.sparse.eye_array(count)
     nodes = np.linspace(0.0, count - 1.0, 4)
     return nodes, np.vander(nodes, count) @ np.linalg.inv(np.vander(at, count))
 

@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 import shapely
-from scipy.spatial import cKDTree
 
 from equimesh.errors import InputError
 from equimesh.fields.base import Array, IntArray
@@ -213,6 +213,6 @@ class Surface:
         interpolate(self._kernel, data, local, out)
         outside = np.isnan(out[:, 0])
         if outside.any():
-            _, nearest = cKDTree(self._kernel.points[:, :2]).query(local[outside])
+            _, nearest = scipy.spatial.cKDTree(self._kernel.points[:, :2]).query(local[outside])
             out[outside] = data[nearest]
         return out

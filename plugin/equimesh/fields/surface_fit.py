@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import sparse
 
 from equimesh.fields.base import Array, IntArray
 from equimesh.fields.compiled import allocating
@@ -40,12 +40,12 @@ def fit_quadratics(points: Array, triangles: Int32Array, every: int = 1) -> Deri
     centre = np.arange(0, count, every)
     i = triangles.reshape(-1).astype(np.int64)
     j = np.roll(triangles, -1, axis=1).reshape(-1).astype(np.int64)
-    near = sparse.csr_array((np.ones(len(i), bool), (i, j)), shape=(count, count))
-    near = near + near.T + sparse.eye_array(count, dtype=bool, format="csr")
+    near = scipy.sparse.csr_array((np.ones(len(i), bool), (i, j)), shape=(count, count))
+    near = near + near.T + scipy.sparse.eye_array(count, dtype=bool, format="csr")
     ring = near[centre] @ near
     for _ in range(2):
         few = np.flatnonzero(np.diff(ring.indptr) < 6)
-        pick = sparse.csr_array(
+        pick = scipy.sparse.csr_array(
             (np.ones(len(few), bool), (few, few)), shape=(len(centre), len(centre))
         )
         ring = ring + pick @ ring @ near

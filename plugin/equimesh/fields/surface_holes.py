@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 import shapely
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from equimesh.errors import InputError
 from equimesh.fields.base import Array, IntArray
@@ -80,7 +80,7 @@ def _cover(points: Array, ring: IntArray, rim: shapely.Polygon) -> IntArray:
     """(k, 3) counter-clockwise triangles of a ring's vertices that fill it."""
     pieces = shapely.get_parts(shapely.constrained_delaunay_triangles(rim))
     corners = shapely.get_coordinates(pieces).reshape(-1, 4, 2)[:, :3]
-    _, near = cKDTree(points[ring, :2]).query(corners.reshape(-1, 2))
+    _, near = scipy.spatial.cKDTree(points[ring, :2]).query(corners.reshape(-1, 2))
     triangles = ring[near].reshape(-1, 3)
     a, b, c = points[triangles, :2].transpose(1, 0, 2)
     turned = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]

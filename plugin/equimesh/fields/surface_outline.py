@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 import shapely
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from equimesh.errors import InputError
 from equimesh.fields.base import Array, IntArray
@@ -87,7 +87,7 @@ class Border:
         union = shapely.orient_polygons(union)
         rings: list[IntArray] = []
         piece: list[int] = []
-        tree = cKDTree(self.points[np.concatenate(self.rings), :2])
+        tree = scipy.spatial.cKDTree(self.points[np.concatenate(self.rings), :2])
         for number, part in enumerate(shapely.get_parts(union)):
             for ring in shapely.get_rings(part):
                 distance, near = tree.query(shapely.get_coordinates(ring)[:-1])

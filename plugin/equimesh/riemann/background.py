@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
@@ -66,8 +67,6 @@ class Background:
         cls, metric: Callable[[Array, Array], Array], geometry: shapely.Geometry
     ) -> Background:
         """A mesh over the domain's box, fine where the metric changes: Delaunay of a quadtree."""
-        from scipy.spatial import Delaunay
-
         xmin, ymin, xmax, ymax = shapely.bounds(geometry)
         side = max(xmax - xmin, ymax - ymin)
         n = 16
@@ -95,7 +94,7 @@ class Background:
             if len(cells) == 0:
                 break
         points = np.unique(np.concatenate(done), axis=0)
-        triangles = np.sort(Delaunay(points).simplices.astype(np.int64), axis=1)
+        triangles = np.sort(scipy.spatial.Delaunay(points).simplices.astype(np.int64), axis=1)
         return cls(points, triangles, metric(*points.T))
 
     def with_tensors(self, tensors: Array) -> Background:
