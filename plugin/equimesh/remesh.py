@@ -17,8 +17,8 @@ from equimesh.errors import InputError
 from equimesh.fields import Bound, Field, Source, as_field
 from equimesh.fields.raster import Raster
 from equimesh.metric import lower_bound
-from equimesh.optimise.driver import repair
 from equimesh.optimise.effort import EFFORTS
+from equimesh.optimise.mending import repair
 from equimesh.optimise.mesh import Mesh
 from equimesh.outcome import tagged_constraints, user_mesh
 from equimesh.profile import profile_again, profile_of

@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from numpy.typing import NDArray
 
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.optimise.anneal import VISITS, anneal, exchange, press
 from equimesh.optimise.effort import AIMS, EFFORTS
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.flips import flip_all
-from equimesh.optimise.greedy import refine
+from equimesh.optimise.mending import STRAINED, insert_greedily, lower_errors, mended, spread
 from equimesh.optimise.mesh import (
     EVEN,
     FREE,
@@ -22,26 +21,22 @@ from equimesh.optimise.mesh import (
     MANNER,
     MODEL,
     SETTLE,
-    SPREAD,
     Mesh,
     copied,
-    enlarged,
     is_wide,
     movable,
     triangles_in,
 )
 from equimesh.optimise.nested import AIM, Nested, settle
 from equimesh.optimise.regions import even_out
-from equimesh.optimise.relax import Queue, make_queue
+from equimesh.optimise.relax import make_queue
 from equimesh.optimise.search import search_all
 from equimesh.optimise.sweep import (
-    insert_round,
     lift_all,
     relax_all,
     relax_everything,
     removal_round,
     split_borders,
-    split_listed,
     thin_out,
     vertex_waste,
     violations,
@@ -53,7 +48,6 @@ __all__ = [
     "draft",
     "finer_draft",
     "optimise",
-    "repair",
     "seam_share",
 ]
 
@@ -63,12 +57,9 @@ _WORTH = 1.5
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # the aims of cycles follow a sequence that repeats none
 _FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
 _PRESSES = 4  # rounds of pressing on Hermite's errors, which are cheap
-_STRAINED = 16  # moves of each vertex that strain is evened out by
 _SPREADING = 8  # moves of each vertex that violations of a large mesh are spread by
 # Triangles below which a round and a cycle pay in any case, for numbers vary much, and two cycles.
 _SCATTER, _SCATTER_MORE = 1_500, 500
-_BESIDE = 1.03  # by which more, for those beside them may be underestimated as well
-_LOUDEST = 2.0  # share by which errors are multiplied, at most, where they were underestimated
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Hermite's formula.
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
@@ -153,9 +144,9 @@ def finer_draft(
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         if how.thorough:
-            _spread(field, mesh, tol, queue, _SPREADING)
+            spread(field, mesh, tol, queue, _SPREADING)
         report(0.7)
-        mesh = _lower_errors(field, mesh, tol, queue)
+        mesh = lower_errors(field, mesh, tol, queue)
         report(0.9)
         if how.thorough and violations(mesh, 1.0)[0] == 0:
             _remove(field, mesh, tol, 1, VISITS, lambda f: report(0.9 + 0.1 * f))
@@ -210,21 +201,14 @@ def _pressed(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> Mesh:
 def _even_strain(field: KernelField, mesh: Mesh, tol: float) -> None:
     """Press and relax where strain may spread: in a mesh that is no settled lattice."""
     press(field, mesh, tol, _PRESSES)
-    _spread(field, mesh, tol, make_queue(len(mesh.x)), _STRAINED)
-
-
-def _spread(field: KernelField, mesh: Mesh, tol: float, queue: Queue, moves: int) -> None:
-    """Relax around every violation so that it may spread, by so many moves of each vertex."""
-    mesh.count[MANNER] = SPREAD
-    relax_all(field, mesh, tol, queue, moves)
-    mesh.count[MANNER] = SETTLE
+    spread(field, mesh, tol, make_queue(len(mesh.x)), STRAINED)
 
 
 def _completed(field: KernelField, mesh: Mesh, tol: float, effort: str) -> Mesh:
     """Violations mended by moves and insertions; then vertices removed that can be spared."""
     queue = make_queue(len(mesh.x))
     relax_all(field, mesh, tol, queue, 40)
-    mesh = _lower_errors(field, mesh, tol, queue)
+    mesh = lower_errors(field, mesh, tol, queue)
     if violations(mesh, 1.0)[0] == 0:
         for level, how in EFFORTS.items():  # what less effort removes goes first
             _remove(field, mesh, tol, how.rounds, how.visits, lambda _: None)
@@ -250,10 +234,10 @@ def optimise(
         flip_all(field, mesh, tol, 50)
         mesh = _pressed(field, mesh, tol, how.presses)
         report(0.3)
-        mesh = _mended(field, mesh, tol, queue)
+        mesh = mended(field, mesh, tol, queue)
     else:
         rounds, visits = _ON_DATA[effort]
-        mesh = _refine(field, mesh, tol)
+        mesh = insert_greedily(field, mesh, tol)
         report(0.3)
         flip_all(field, mesh, tol, 4)
         for _ in range(6):
@@ -269,97 +253,6 @@ def optimise(
         if searched and good:
             search_all(field, mesh, most, lambda f: report(0.6 + 0.4 * f))
     return mesh, good
-
-
-def repair(
-    field: KernelField,
-    mesh: Mesh,
-    tol: float,
-    slots: NDArray[np.int64],
-    errors: NDArray[np.float64],
-) -> Mesh:
-    """Mend the triangles in ``slots``, whose ``errors`` a closer look found too large.
-
-    ``errors`` in units of the tolerance. From now on errors at their corners count for as much
-    more; a triangle that yet seems to keep the tolerance is split.
-    """
-    if room(mesh) < 8 * len(slots) + 1000:
-        mesh = enlarged(mesh)
-    corners = mesh.tv[slots]
-    moved = np.zeros(len(mesh.x), np.uint8)
-    moved[corners] = 1
-    louder = mesh.share[corners] * _BESIDE * errors[:, None]
-    np.maximum.at(mesh.share, corners, louder.clip(1.0, _LOUDEST))
-    evaluate_all(field, mesh, tol, moved)
-    queue = make_queue(len(mesh.x))
-    split_listed(field, mesh, tol, queue, slots[worst_errors(mesh)[slots] <= 1.0])
-    return _mended(field, mesh, tol, queue)
-
-
-def _mended(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Mesh:
-    """The mesh with its few violations of true errors moved away, or vertices inserted there.
-
-    In a wide mesh, whose errors are all near the tolerance, a vertex inserted at once would push
-    its neighbours above it.
-    """
-    relax_all(field, mesh, tol, queue, 40)
-    if is_wide(mesh):
-        _spread(field, mesh, tol, queue, _STRAINED)
-    return _lower_errors(field, mesh, tol, queue)
-
-
-def room(mesh: Mesh) -> int:
-    """Spare slots for triangles and twice the vertices, whichever is less."""
-    c = mesh.count
-    return int(min(len(mesh.tv) - c[0], 2 * (len(mesh.x) - c[1])))
-
-
-def _lower_errors(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Mesh:
-    """Insert vertices, a few far apart at a time, until no error exceeds ``tol``."""
-    stamp = np.zeros(len(mesh.x), np.int64)
-    fewest, stalled = len(mesh.tv), 0
-    for number in range(1, 40):
-        order = _violated(mesh)
-        if len(order) == 0:
-            return mesh
-        # Flips may push each new vertex aside again: then greedy insertion must break the circle.
-        stalled = 0 if len(order) < fewest else stalled + 1
-        fewest = min(fewest, len(order))
-        if stalled > 3:
-            break
-        if room(mesh) < 4 * len(order):
-            mesh = enlarged(mesh)
-            queue, stamp = make_queue(len(mesh.x)), np.zeros(len(mesh.x), np.int64)
-        made = insert_round(field, mesh, tol, queue, stamp, number, order, 60)
-        relax_all(field, mesh, tol, queue, 12)
-        if made == 0:
-            break
-    return _refine(field, mesh, tol)
-
-
-def _refine(field: KernelField, mesh: Mesh, tol: float) -> Mesh:
-    """Greedy insertion, in a larger mesh each time the slots run out.
-
-    Data ask for at most a few triangles a sample; where a lattice was laid, for no more than a few
-    times its number. Beyond that the surface has a jump, and the rest is left violated.
-    """
-    if field.kind == PATCHES:
-        most = 3 * triangles_in(mesh)
-    else:
-        most = 8 * (field.grid.size + len(field.triangles))
-    while True:
-        scratch = 4 * len(mesh.tv) + 10_000
-        keys = np.zeros(scratch)
-        if refine(field, mesh, tol, np.zeros(scratch, np.int64), keys, most + 20_000):
-            return mesh
-        mesh = enlarged(mesh)
-
-
-def _violated(mesh: Mesh) -> NDArray[np.int64]:
-    """Triangles with an error above the tolerance, the worst first."""
-    worst = worst_errors(mesh)
-    found = np.flatnonzero(worst > 1.0)
-    return np.asarray(found[np.argsort(-worst[found], kind="stable")])
 
 
 def _remove(
