@@ -274,13 +274,13 @@ def bowls(mesh: Mesh) -> NDArray[np.bool_]:
     return np.asarray(xx * yy > xy * xy)
 
 
-def press(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> None:
+def press(field: KernelField, mesh: Mesh, tol: float, rounds: tuple[int, int]) -> None:
     """Lower the largest errors as far as moves and flips alone can.
 
-    In up to so many ``rounds``, and in a wide mesh in half as many more at the highest power, which
-    brings the errors around dislocations close to all others.
+    In up to so many ``rounds``, and in a wide mesh in as many as the second number more at the
+    highest power, which brings the errors around dislocations close to all others.
     """
-    for manner, most in ((HARD, rounds), (HARDEST, rounds // 2 if is_wide(mesh) else 0)):
+    for manner, most in ((HARD, rounds[0]), (HARDEST, rounds[1] if is_wide(mesh) else 0)):
         mesh.count[MANNER] = manner
         for _ in range(most):
             relax_together(field, mesh, tol, _STEPS)

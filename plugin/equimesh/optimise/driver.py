@@ -27,7 +27,7 @@ from equimesh.optimise.mesh import (
     movable,
     triangles_in,
 )
-from equimesh.optimise.nested import AIM, Nested, settle
+from equimesh.optimise.nested import AIM, PRESSES, Nested, settle, tighten
 from equimesh.optimise.regions import even_out
 from equimesh.optimise.relax import make_queue
 from equimesh.optimise.search import search_all
@@ -56,7 +56,8 @@ Report = Callable[[float], None]
 _WORTH = 1.5
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # the aims of cycles follow a sequence that repeats none
 _FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
-_PRESSES = 4  # rounds of pressing on Hermite's errors, which are cheap
+_PRESSES = (4, 2)  # rounds of pressing on Hermite's errors, which are cheap
+_EVENING = (2, 1)  # and between rounds of regions, where no refinement follows
 _SPREADING = 8  # moves of each vertex that violations of a large mesh are spread by
 # Triangles below which a round and a cycle pay in any case, for numbers vary much, and two cycles.
 _SCATTER, _SCATTER_MORE = 1_500, 500
@@ -110,7 +111,7 @@ def draft(
             small = triangles_in(mesh) < _SCATTER
             even_out(
                 field, mesh, tol, annealed, queue, how.trials if small else VISITS,
-                (int(small), how.evenings), how.goal(least),
+                (int(small), how.evenings), PRESSES if finer else _EVENING, how.goal(least),
                 lambda f: report(0.3 + 0.5 * f),
             )  # fmt: skip
             report(0.8)
@@ -138,18 +139,19 @@ def finer_draft(
             return mesh
         queue = make_queue(len(mesh.x))
         even_out(
-            field, mesh, tol, AIM, queue, VISITS, (0, how.evenings), 0.0,
+            field, mesh, tol, AIM, queue, VISITS, (0, how.evenings), PRESSES, 0.0,
             lambda f: report(0.4 + 0.2 * f),
         )  # fmt: skip
+        mesh, queue = tighten(field, mesh, tol, how.aims, queue, lambda f: report(0.6 + 0.3 * f))
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         if how.thorough:
             spread(field, mesh, tol, queue, _SPREADING)
-        report(0.7)
-        mesh = lower_errors(field, mesh, tol, queue)
         report(0.9)
+        mesh = lower_errors(field, mesh, tol, queue)
+        report(0.95)
         if how.thorough and violations(mesh, 1.0)[0] == 0:
-            _remove(field, mesh, tol, 1, VISITS, lambda f: report(0.9 + 0.1 * f))
+            _remove(field, mesh, tol, 1, VISITS, lambda f: report(0.95 + 0.05 * f))
         return mesh
 
 
@@ -194,7 +196,7 @@ def _pressed(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> Mesh:
     if rounds == 0 or before <= _FEW * triangles_in(mesh):
         return mesh
     trial = copied(mesh)
-    press(field, trial, tol, rounds)
+    press(field, trial, tol, (rounds, rounds // 2))
     return trial if violations(trial, 1.0)[0] < before else mesh
 
 

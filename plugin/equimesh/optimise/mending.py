@@ -10,11 +10,20 @@ from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.greedy import refine
 from equimesh.optimise.mesh import MANNER, SETTLE, SPREAD, Mesh, enlarged, is_wide, triangles_in
 from equimesh.optimise.relax import Queue, make_queue
-from equimesh.optimise.sweep import insert_round, relax_all, split_listed
+from equimesh.optimise.sweep import insert_round, relax_all, split_listed, violations
 
-__all__ = ["STRAINED", "insert_greedily", "lower_errors", "mended", "repair", "spread"]
+__all__ = [
+    "STRAINED",
+    "insert_greedily",
+    "insert_once",
+    "lower_errors",
+    "mended",
+    "repair",
+    "spread",
+]
 
 STRAINED = 16  # moves of each vertex that strain is evened out by
+_INSERTIONS = 39  # rounds of insertion at most
 _BESIDE = 1.03  # by which more, for those beside them may be underestimated as well
 _LOUDEST = 2.0  # share by which errors are multiplied, at most, where they were underestimated
 
@@ -64,26 +73,46 @@ def spread(field: KernelField, mesh: Mesh, tol: float, queue: Queue, moves: int)
 
 
 def lower_errors(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Mesh:
-    """Insert vertices, a few far apart at a time, until no error exceeds ``tol``."""
-    stamp = np.zeros(len(mesh.x), np.int64)
+    """Insert vertices, a few far apart at a time, until no error exceeds ``tol``.
+
+    Flips may push each new vertex aside again. In a wide mesh, whose errors are all near the
+    tolerance, what then is violated spreads first; greedy insertion breaks the circle in the end,
+    but would push the neighbours of what it inserts above the tolerance, one after another.
+    """
     fewest, stalled = len(mesh.tv), 0
-    for number in range(1, 40):
-        order = _violated(mesh)
-        if len(order) == 0:
+    for _ in range(_INSERTIONS):
+        left = int(violations(mesh, 1.0)[0])
+        if left == 0:
             return mesh
-        # Flips may push each new vertex aside again: then greedy insertion must break the circle.
-        stalled = 0 if len(order) < fewest else stalled + 1
-        fewest = min(fewest, len(order))
+        stalled = 0 if left < fewest else stalled + 1
+        fewest = min(fewest, left)
         if stalled > 3:
             break
-        if _room(mesh) < 4 * len(order):
-            mesh = enlarged(mesh)
-            queue, stamp = make_queue(len(mesh.x)), np.zeros(len(mesh.x), np.int64)
-        made = insert_round(field, mesh, tol, queue, stamp, number, order, 60)
-        relax_all(field, mesh, tol, queue, 12)
+        mesh, queue, made = insert_once(field, mesh, tol, queue)
+        if stalled > 1 and is_wide(mesh):
+            spread(field, mesh, tol, queue, STRAINED)
+        else:
+            relax_all(field, mesh, tol, queue, 12)
         if made == 0:
             break
     return insert_greedily(field, mesh, tol)
+
+
+def insert_once(
+    field: KernelField, mesh: Mesh, tol: float, queue: Queue
+) -> tuple[Mesh, Queue, int]:
+    """A vertex at the worst of each cluster of violations, and the moves that they ask for.
+
+    Returns the mesh, enlarged where it had to be, a queue for it, and how many were inserted.
+    """
+    worst = worst_errors(mesh)
+    order = np.flatnonzero(worst > 1.0)
+    order = order[np.argsort(-worst[order], kind="stable")]
+    if _room(mesh) < 4 * len(order):
+        mesh = enlarged(mesh)
+        queue = make_queue(len(mesh.x))
+    stamp = np.zeros(len(mesh.x), np.int64)
+    return mesh, queue, int(insert_round(field, mesh, tol, queue, stamp, 1, order, 60))
 
 
 def insert_greedily(field: KernelField, mesh: Mesh, tol: float) -> Mesh:
@@ -102,13 +131,6 @@ def insert_greedily(field: KernelField, mesh: Mesh, tol: float) -> Mesh:
         if refine(field, mesh, tol, np.zeros(scratch, np.int64), keys, most + 20_000):
             return mesh
         mesh = enlarged(mesh)
-
-
-def _violated(mesh: Mesh) -> NDArray[np.int64]:
-    """Triangles with an error above the tolerance, the worst first."""
-    worst = worst_errors(mesh)
-    found = np.flatnonzero(worst > 1.0)
-    return np.asarray(found[np.argsort(-worst[found], kind="stable")])
 
 
 def _room(mesh: Mesh) -> int:

@@ -33,7 +33,6 @@ _RINGS = 3  # over so many rings of triangles
 _EAGER = 1.7
 _LEAST, _MOST = 0.88, 1.08  # shares: some errors do not give way to any number of vertices
 _CEILING = 1.3  # larger errors are no question of density
-_PRESSES = 2  # rounds of pressing before errors are looked at
 # Triangles that it takes to mend one whose error is so much above 1, and less for less: a fit to
 # what 45 meshes took.
 _MENDING, _MUCH = 0.25, 0.02
@@ -49,6 +48,7 @@ def even_out(
     queue: Queue,
     visits: int,
     rounds: tuple[int, int],
+    presses: tuple[int, int],
     goal: float,
     report: Callable[[float], None],
 ) -> None:
@@ -57,7 +57,8 @@ def even_out(
 
     ``rounds``: the least and the most of them; between the two they end with a mesh that promises
     at most ``goal`` triangles. ``error``: what it was annealed for at first. ``visits``: how many
-    moves of vertices around an exchange may make it pay.
+    moves of vertices around an exchange may make it pay. ``presses``: rounds of pressing before
+    errors are looked at.
     """
     first, last = rounds
     if last == 0:
@@ -65,7 +66,7 @@ def even_out(
     share, best, least, idle = shares(mesh, error), copied(mesh), math.inf, 0
     for number in range(last + 1):
         evaluate_all(field, mesh, tol)
-        press(field, mesh, tol, _PRESSES)
+        press(field, mesh, tol, presses)
         expected = _expected(mesh)
         idle = 0 if expected < (1.0 - _GAIN) * least else idle + 1
         if expected < least:
