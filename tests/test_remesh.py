@@ -318,6 +318,18 @@ def test_a_rotated_copy_has_the_same_statistics(text, tol, degrees):
     assert_certified(result, f)
 
 
+def test_meshes_of_two_hundred_triangles_hardly_depend_on_the_angle_either():
+    text, _, tol = EIGHT["stretched saddle"]
+    plain = len(on_the_unit_square(text, tol).triangles)
+    assert plain < 250
+    for degrees in range(11, 180, 21):
+        angle = math.radians(degrees)
+        matrix = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+        square = shapely.affinity.rotate(shapely.box(*UNIT), degrees, origin=(0, 0))
+        result = equimesh.remesh(moved(text, matrix, (0, 0)), tol, square)
+        assert len(result.triangles) == pytest.approx(plain, rel=0.03)
+
+
 @pytest.mark.parametrize("text, tol", [(HARMONIC, 0.3), (CONVEX, 1e-2), (FRANKE, 5e-3)])
 @pytest.mark.parametrize("factor", [8.0, 2.0**-40, 2.0**30])
 def test_heights_and_tolerance_in_other_units_give_the_same_mesh(text, tol, factor):

@@ -37,6 +37,7 @@ _SEAMS = 0.08  # above this share of violated triangles a lattice had better be 
 # Errors to anneal lattices for, in units of the tolerance; the denser the lattice, the lower.
 _ERRORS = (0.93, 0.95, 0.94)
 _MISSING = 0.008  # of a coarse mesh's triangles: with more its refinements are worse than new ones
+_TINY = 250  # triangles, below which drafts differ by several in a hundred
 _FITTING = 4  # as many lattices cost what one that must be annealed does
 
 
@@ -123,7 +124,7 @@ class _Job:
         fits = self.fits(lattice)
         laid = lattice if fits else None
         del lattice  # one that does not fit is of no use, and large
-        number, kept, most = how.drafts, how.kept[1], how.cycled[1]
+        number, kept, most = how.drafts[cost < _TINY], how.kept[1], how.cycled[1]
         if fits:
             number, kept, most = how.lattices, how.kept[0], how.cycled[0]
             cost /= _FITTING

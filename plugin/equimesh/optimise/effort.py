@@ -16,7 +16,8 @@ class Effort:
     """How long to look for vertices that can go.
 
     ``lattices``: at most so many first meshes are tried where lattices fit, ``drafts`` where they
-    must be annealed, as many as ``triangles`` allow. While crystals form, an exchange may take
+    must be annealed (the second number where there are so few triangles that one draft may be far
+    from the next), as many as ``triangles`` allow. While crystals form, an exchange may take
     ``trials`` moves of vertices to pay; in up to ``evenings`` rounds regions get their own numbers
     of vertices. Hermite's errors guide all that, with ``rounds`` of removal and at most ``visits``
     moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the same for the best
@@ -30,7 +31,7 @@ class Effort:
     """
 
     lattices: int
-    drafts: int
+    drafts: tuple[int, int]
     triangles: int
     trials: int
     evenings: int
@@ -51,11 +52,11 @@ class Effort:
 
 
 EFFORTS = {
-    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, (1, 1), 0, (0, 0), 0.0),
+    "fast": Effort(1, (1, 1), 0, 30, 0, 2, 60, 0, 0, 0, (1, 1), 0, (0, 0), 0.0),
     "balanced": Effort(
-        2, 2, 3_000, 30, 6, 0, 30, 0, 0, 1, (1, 2), 3, (4_000, 60_000), 4.5, (1.0, 1.08)
+        2, (2, 4), 3_000, 30, 6, 0, 30, 0, 0, 1, (1, 2), 3, (4_000, 60_000), 4.5, (1.0, 1.08)
     ),
     "best": Effort(
-        200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, (8, 8), 40, (300_000, 300_000), 0.0
+        200, (24, 24), 60_000, 60, 8, 20, 300, 20, 600, 4, (8, 8), 40, (300_000, 300_000), 0.0
     ),
 }
