@@ -75,9 +75,9 @@ def spread(field: KernelField, mesh: Mesh, tol: float, queue: Queue, moves: int)
 def lower_errors(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Mesh:
     """Insert vertices, a few far apart at a time, until no error exceeds ``tol``.
 
-    Flips may push each new vertex aside again. In a wide mesh, whose errors are all near the
-    tolerance, what then is violated spreads first; greedy insertion breaks the circle in the end,
-    but would push the neighbours of what it inserts above the tolerance, one after another.
+    Flips may push each new vertex aside again: then greedy insertion must break the circle. In a
+    wide mesh, whose errors are all near the tolerance, that would push the neighbours above it one
+    after another, so what is violated spreads before.
     """
     fewest, stalled = len(mesh.tv), 0
     for _ in range(_INSERTIONS):
@@ -89,12 +89,11 @@ def lower_errors(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Me
         if stalled > 3:
             break
         mesh, queue, made = insert_once(field, mesh, tol, queue)
-        if stalled > 1 and is_wide(mesh):
-            spread(field, mesh, tol, queue, STRAINED)
-        else:
-            relax_all(field, mesh, tol, queue, 12)
+        relax_all(field, mesh, tol, queue, 12)
         if made == 0:
             break
+    if is_wide(mesh):
+        spread(field, mesh, tol, queue, STRAINED)
     return insert_greedily(field, mesh, tol)
 
 
