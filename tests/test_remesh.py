@@ -322,7 +322,7 @@ def test_meshes_of_two_hundred_triangles_hardly_depend_on_the_angle_either():
     text, _, tol = EIGHT["stretched saddle"]
     plain = len(on_the_unit_square(text, tol).triangles)
     assert plain < 250
-    for degrees in range(11, 180, 21):
+    for degrees in (8, 56, 92, 152, 164, 176):  # two drafts are off by up to 4 % there
         angle = math.radians(degrees)
         matrix = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
         square = shapely.affinity.rotate(shapely.box(*UNIT), degrees, origin=(0, 0))
