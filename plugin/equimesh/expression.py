@@ -87,7 +87,7 @@ _NUMERIC: dict[str, Callable[..., Any]] = {
     "_Sign": np.sign,
     "_Abs": np.abs,
     "_Max": np.maximum,
-    "erf": lambda u: scipy.special.erf(u),
+    "erf": lambda u: scipy.special.erf(u),  # looked up when called: scipy.special is slow to load
 }
 
 

@@ -13,7 +13,14 @@ from equimesh.optimise.anneal import VISITS, anneal, exchange, press
 from equimesh.optimise.effort import AIMS, EFFORTS
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.flips import flip_all
-from equimesh.optimise.mending import STRAINED, insert_greedily, lower_errors, mended, spread
+from equimesh.optimise.mending import (
+    SPREADING,
+    STRAINED,
+    insert_greedily,
+    lower_errors,
+    mended,
+    spread,
+)
 from equimesh.optimise.mesh import (
     EVEN,
     FREE,
@@ -58,7 +65,6 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # the aims of cycles follow a sequence t
 _FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
 _PRESSES = (4, 2)  # rounds of pressing on Hermite's errors, which are cheap
 _EVENING = (2, 1)  # and between rounds of regions, where no refinement follows
-_SPREADING = 8  # moves of each vertex that violations of a large mesh are spread by
 # Triangles below which a round and a cycle pay in any case, for numbers vary much, and two cycles.
 _SCATTER, _SCATTER_MORE = 1_500, 500
 _IDLE = 20  # cycles without a gain after which there is no more
@@ -146,7 +152,7 @@ def finer_draft(
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         if how.thorough:
-            spread(field, mesh, tol, queue, _SPREADING)
+            spread(field, mesh, tol, queue, SPREADING)
         report(0.9)
         mesh = lower_errors(field, mesh, tol, queue)
         report(0.95)

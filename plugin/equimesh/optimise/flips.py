@@ -9,7 +9,7 @@ from equimesh.fields.kernel import KernelField
 from equimesh.fields.workers import in_ranges
 from equimesh.optimise.energy import edge_of, inner_of, penalty
 from equimesh.optimise.mesh import EPOCH, TRIANGLES, Mesh
-from equimesh.optimise.topology import ample, flip
+from equimesh.optimise.topology import flip, flippable
 
 __all__ = ["IDLE", "flip_all", "try_flip"]
 
@@ -23,20 +23,11 @@ def _other_diagonal(F, m, tol, t, k):
     Then also the error and its place along (d, c), and those inside (c, a, d) and (d, b, c).
     """
     none = (False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    u = m.tn[t, k]
-    if u < 0 or m.wall[t, k] == 1:
+    u, a, b, c, d = flippable(m, t, k)
+    if u < 0:
         return none
     before = penalty(m, m.ee[t, k]) + penalty(m, m.ie[t]) + penalty(m, m.ie[u])
     if before < 1e-5:
-        return none
-    b = m.tv[t, (k + 1) % 3]
-    j = 0
-    while not (m.tn[u, j] == t and m.tv[u, j] == b):
-        j += 1
-    a, c, d = m.tv[t, k], m.tv[t, (k + 2) % 3], m.tv[u, (j + 2) % 3]
-    if not ample(m.x[c], m.y[c], m.x[a], m.y[a], m.x[d], m.y[d]):
-        return none
-    if not ample(m.x[d], m.y[d], m.x[b], m.y[b], m.x[c], m.y[c]):
         return none
     goal = before * 0.999 - 1e-9
     e, s = edge_of(F, m, tol, d, c)

@@ -30,6 +30,7 @@ from equimesh.optimise.topology import (
     begin,
     commit,
     flip,
+    flippable,
     note_vertex,
     rollback,
     room_left,
@@ -141,17 +142,8 @@ def _list_journal(m, s, n, first):
 @compiled
 def _flip(F, m, tol, t, k, rise):
     """Flip edge k of t where that costs at most ``rise``; returns the other triangle or -1."""
-    u = m.tn[t, k]
-    if u < 0 or m.wall[t, k] == 1:
-        return -1
-    a, b, c = m.tv[t, k], m.tv[t, (k + 1) % 3], m.tv[t, (k + 2) % 3]
-    j = 0
-    while not (m.tn[u, j] == t and m.tv[u, j] == b):
-        j += 1
-    d = m.tv[u, (j + 2) % 3]
-    if not ample(m.x[c], m.y[c], m.x[a], m.y[a], m.x[d], m.y[d]):
-        return -1
-    if not ample(m.x[d], m.y[d], m.x[b], m.y[b], m.x[c], m.y[c]):
+    u, a, b, c, d = flippable(m, t, k)
+    if u < 0:
         return -1
     left = rise + _cost(m.ee[t, k]) + _cost(m.ie[t]) + _cost(m.ie[u])
     e, p = _edge_of(F, m, tol, d, c)

@@ -15,7 +15,7 @@ from equimesh.optimise.centres import beyond, circumcentre, split_for_angle
 from equimesh.optimise.energy import edge_of, set_edge, set_inner, worst_of
 from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import FREE_TRIANGLES
-from equimesh.optimise.topology import ample, flip, star
+from equimesh.optimise.topology import flip, flippable, star
 
 __all__ = ["refine"]
 
@@ -62,14 +62,9 @@ def _not_delaunay(F, m, t, k):
 
     The circle is one in the user's coordinates where angles have a floor, else in local ones.
     """
-    u = m.tn[t, k]
-    if u < 0 or m.wall[t, k] == 1:
+    u, a, b, c, d = flippable(m, t, k)
+    if u < 0:
         return False
-    a, b, c = m.tv[t, k], m.tv[t, (k + 1) % 3], m.tv[t, (k + 2) % 3]
-    j = 0
-    while not (m.tn[u, j] == t and m.tv[u, j] == b):
-        j += 1
-    d = m.tv[u, (j + 2) % 3]
     ax, ay = m.x[a] - m.x[d], m.y[a] - m.y[d]
     bx, by = m.x[b] - m.x[d], m.y[b] - m.y[d]
     cx, cy = m.x[c] - m.x[d], m.y[c] - m.y[d]
@@ -81,11 +76,7 @@ def _not_delaunay(F, m, t, k):
     p = ax * (by * c2 - cy * b2)
     q = ay * (bx * c2 - cx * b2)
     r = a2 * (bx * cy - cx * by)
-    if p - q + r <= 1e-10 * (abs(p) + abs(q) + abs(r)):
-        return False
-    return ample(m.x[c], m.y[c], m.x[a], m.y[a], m.x[d], m.y[d]) and ample(
-        m.x[d], m.y[d], m.x[b], m.y[b], m.x[c], m.y[c]
-    )
+    return p - q + r > 1e-10 * (abs(p) + abs(q) + abs(r))
 
 
 @compiled

@@ -10,18 +10,21 @@ from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.greedy import refine
 from equimesh.optimise.mesh import MANNER, SETTLE, SPREAD, Mesh, enlarged, is_wide, triangles_in
 from equimesh.optimise.relax import Queue, make_queue
-from equimesh.optimise.sweep import insert_round, relax_all, split_listed, violations
+from equimesh.optimise.sweep import insert_round, relax_all, split_listed
 
 __all__ = [
+    "SPREADING",
     "STRAINED",
+    "insert_at",
     "insert_greedily",
-    "insert_once",
     "lower_errors",
     "mended",
     "repair",
     "spread",
+    "violated",
 ]
 
+SPREADING = 8  # moves of each vertex that violations of a large mesh are spread by
 STRAINED = 16  # moves of each vertex that strain is evened out by
 _INSERTIONS = 39  # rounds of insertion at most
 _BESIDE = 1.03  # by which more, for those beside them may be underestimated as well
@@ -81,14 +84,14 @@ def lower_errors(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Me
     """
     fewest, stalled = len(mesh.tv), 0
     for _ in range(_INSERTIONS):
-        left = int(violations(mesh, 1.0)[0])
-        if left == 0:
+        order = violated(mesh)
+        if len(order) == 0:
             return mesh
-        stalled = 0 if left < fewest else stalled + 1
-        fewest = min(fewest, left)
+        stalled = 0 if len(order) < fewest else stalled + 1
+        fewest = min(fewest, len(order))
         if stalled > 3:
             break
-        mesh, queue, made = insert_once(field, mesh, tol, queue)
+        mesh, queue, made = insert_at(field, mesh, tol, queue, order)
         relax_all(field, mesh, tol, queue, 12)
         if made == 0:
             break
@@ -97,16 +100,21 @@ def lower_errors(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Me
     return insert_greedily(field, mesh, tol)
 
 
-def insert_once(
-    field: KernelField, mesh: Mesh, tol: float, queue: Queue
-) -> tuple[Mesh, Queue, int]:
-    """A vertex at the worst of each cluster of violations, and the moves that they ask for.
-
-    Returns the mesh, enlarged where it had to be, a queue for it, and how many were inserted.
-    """
+def violated(mesh: Mesh) -> NDArray[np.int64]:
+    """Triangles with an error above the tolerance, the worst first."""
     worst = worst_errors(mesh)
-    order = np.flatnonzero(worst > 1.0)
-    order = order[np.argsort(-worst[order], kind="stable")]
+    found = np.flatnonzero(worst > 1.0)
+    return np.asarray(found[np.argsort(-worst[found], kind="stable")])
+
+
+def insert_at(
+    field: KernelField, mesh: Mesh, tol: float, queue: Queue, order: NDArray[np.int64]
+) -> tuple[Mesh, Queue, int]:
+    """A vertex at the worst of each cluster of violated triangles, and the moves they ask for.
+
+    ``order``: these triangles, the worst first. Returns the mesh, enlarged where it had to be, a
+    queue for it, and how many were inserted.
+    """
     if _room(mesh) < 4 * len(order):
         mesh = enlarged(mesh)
         queue = make_queue(len(mesh.x))

@@ -17,7 +17,7 @@ from equimesh.fields.kernel import KernelField
 from equimesh.optimise.anneal import VISITS, exchange, exchange_once, press
 from equimesh.optimise.energy import evaluate_all
 from equimesh.optimise.flips import flip_all
-from equimesh.optimise.mending import insert_once, spread
+from equimesh.optimise.mending import SPREADING, insert_at, spread, violated
 from equimesh.optimise.mesh import FIRM, HARD, MANNER, SETTLE, SOFT, Mesh
 from equimesh.optimise.newton import relax_together
 from equimesh.optimise.regions import regional_shares
@@ -74,7 +74,6 @@ _NESTED = {
 _STEPS = 4  # of all vertices before edges flip
 AIM = 0.98  # what vertices are exchanged for
 PRESSES = (1, 3)  # rounds of pressing at either power: the mesh is near its end
-_SPREADING = 8  # moves of each vertex that violations are spread by
 _OFF = 1.5  # triangles too few or too many around a vertex that make an exchange worth a trial
 
 
@@ -136,8 +135,8 @@ def tighten(
     errors.
     """
     for number, error in enumerate(aims, 1):
-        spread(field, mesh, tol, queue, _SPREADING)
-        mesh, queue, _ = insert_once(field, mesh, tol, queue)
+        spread(field, mesh, tol, queue, SPREADING)
+        mesh, queue, _ = insert_at(field, mesh, tol, queue, violated(mesh))
         exchange(field, mesh, tol, error, queue, VISITS, HARD)
         evaluate_all(field, mesh, tol)
         press(field, mesh, tol, PRESSES)

@@ -18,9 +18,9 @@ from equimesh.optimise.mesh import (
 
 __all__ = [
     "ample",
-    "begin", "commit", "drop_triangle", "drop_vertex", "flip", "new_triangle", "new_vertex",
-    "note_triangle", "note_vertex", "positive", "redirect", "rollback", "room_left", "star",
-    "turns_by",
+    "begin", "commit", "drop_triangle", "drop_vertex", "flip", "flippable", "new_triangle",
+    "new_vertex", "note_triangle", "note_vertex", "positive", "redirect", "rollback", "room_left",
+    "star", "turns_by",
 ]  # fmt: skip
 
 # Twice the area of a triangle over the squares of its edges. A split may make the thinnest
@@ -257,6 +257,27 @@ def point_back(m, t, old, new):
             if m.tn[t, i] == old:
                 m.tn[t, i] = new
                 return
+
+
+@compiled
+def flippable(m, t, k):
+    """(u, a, b, c, d): edge k of t from a to b, across it c in t and d in the neighbour u.
+
+    u is -1 where the edge must stay or the other diagonal would make a triangle that is no good.
+    """
+    u, a, b, c = m.tn[t, k], m.tv[t, k], m.tv[t, (k + 1) % 3], m.tv[t, (k + 2) % 3]
+    if u < 0 or m.wall[t, k] == 1:
+        return -1, a, b, c, c
+    j = 0
+    while not (m.tn[u, j] == t and m.tv[u, j] == b):  # two triangles may share two edges at a tip
+        j += 1
+    d = m.tv[u, (j + 2) % 3]
+    if not (
+        ample(m.x[c], m.y[c], m.x[a], m.y[a], m.x[d], m.y[d])
+        and ample(m.x[d], m.y[d], m.x[b], m.y[b], m.x[c], m.y[c])
+    ):
+        u = -1
+    return u, a, b, c, d
 
 
 @outlined

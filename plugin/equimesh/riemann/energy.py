@@ -12,7 +12,7 @@ import math
 
 from equimesh.fields.compiled import compiled
 from equimesh.optimise.mesh import FIXED, SLIDES
-from equimesh.optimise.topology import ample, flip, note_triangle, note_vertex, star
+from equimesh.optimise.topology import ample, flip, flippable, note_triangle, note_vertex, star
 from equimesh.riemann.kernels import metric_at, unit_frame
 
 __all__ = ["edge_length", "energy_of", "move", "set_energy", "star_energy", "try_flip"]
@@ -69,17 +69,8 @@ def edge_length(P, m, a, b):
 @compiled
 def try_flip(P, m, t, k):
     """Flip edge k of t if that lowers the energy of its two triangles."""
-    u = m.tn[t, k]
-    if u < 0 or m.wall[t, k] == 1:
-        return False
-    b = m.tv[t, (k + 1) % 3]
-    j = 0
-    while not (m.tn[u, j] == t and m.tv[u, j] == b):
-        j += 1
-    a, c, d = m.tv[t, k], m.tv[t, (k + 2) % 3], m.tv[u, (j + 2) % 3]
-    if not ample(m.x[c], m.y[c], m.x[a], m.y[a], m.x[d], m.y[d]):
-        return False
-    if not ample(m.x[d], m.y[d], m.x[b], m.y[b], m.x[c], m.y[c]):
+    u, a, b, c, d = flippable(m, t, k)
+    if u < 0:
         return False
     before = m.ie[t] + m.ie[u]
     goal = before - 1e-6 * (1.0 + before)
