@@ -11,11 +11,13 @@ import gc
 import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
 
 import numpy as np
 from numba.core.caching import FunctionCache
+from numba.core.extending import _Intrinsic
 from numba.core.registry import CPUDispatcher
 
 __all__ = ["KernelCache", "digest"]
@@ -78,11 +80,19 @@ def digest(kernel: Callable[..., Any]) -> str:
                 if part.py_func not in met:
                     met.add(part.py_func)
                     left.append(part.py_func)
+            elif isinstance(part, _Intrinsic):
+                said.update(_written(part._defn.__code__.co_filename))
             elif isinstance(part, np.ndarray):
                 said.update(part.tobytes())
             elif isinstance(part, (int, float, str, tuple, dict)):
                 said.update(repr(part).encode())
     return said.hexdigest()
+
+
+@functools.cache
+def _written(file: str) -> bytes:
+    """The file that an intrinsic is made in: what it generates may depend on all that is there."""
+    return Path(file).read_bytes()
 
 
 def _constants(code: CodeType) -> Iterator[Any]:

@@ -8,6 +8,7 @@ largest sample (secs. 2 and 3.1 of the paper tell where it lies for a quadratic)
 from __future__ import annotations
 
 from equimesh.fields.compiled import compiled, inlined, outlined
+from equimesh.fields.partials import partials0, partials1, partials2, partials3, values8
 
 __all__ = [
     "derivatives2",
@@ -42,19 +43,7 @@ def locate(frame, child, x, y):
 @compiled
 def _value(frame, child, coef, x, y):
     leaf, s, t, _ = locate(frame, child, x, y)
-    c = coef[leaf]
-    a0, a1, a2, a3 = c[7, 0], c[7, 1], c[7, 2], c[7, 3]
-    a4, a5, a6, a7 = c[7, 4], c[7, 5], c[7, 6], c[7, 7]
-    for i in range(6, -1, -1):
-        a0 = a0 * s + c[i, 0]
-        a1 = a1 * s + c[i, 1]
-        a2 = a2 * s + c[i, 2]
-        a3 = a3 * s + c[i, 3]
-        a4 = a4 * s + c[i, 4]
-        a5 = a5 * s + c[i, 5]
-        a6 = a6 * s + c[i, 6]
-        a7 = a7 * s + c[i, 7]
-    return ((((((a7 * t + a6) * t + a5) * t + a4) * t + a3) * t + a2) * t + a1) * t + a0
+    return partials0(coef, leaf, s, t)[0]
 
 
 @compiled
@@ -66,24 +55,11 @@ def value(F, x, y):
 def derivatives2(frame, child, coef, x, y):
     """f, f_x, f_y, f_xx, f_xy, f_yy; second derivatives are 0 beside a kink."""
     leaf, s, t, half = locate(frame, child, x, y)
-    c = coef[leaf]
-    f = fs = ft = fss = fst = ftt = 0.0
-    for j in range(7, -1, -1):
-        p = p1 = p2 = 0.0
-        for i in range(7, -1, -1):
-            p2 = p2 * s + p1
-            p1 = p1 * s + p
-            p = p * s + c[i, j]
-        ftt = ftt * t + ft
-        ft = ft * t + f
-        f = f * t + p
-        fst = fst * t + fs
-        fs = fs * t + p1
-        fss = fss * t + 2.0 * p2
+    f, fs, ft, fss, fst, ftt = partials2(coef, leaf, s, t)
     r = 1.0 / half
     if leaf >= frame[4]:
         return f, fs * r, ft * r, 0.0, 0.0, 0.0
-    return f, fs * r, ft * r, fss * r * r, fst * r * r, 2.0 * ftt * r * r
+    return f, fs * r, ft * r, fss * r * r, fst * r * r, ftt * r * r
 
 
 @compiled
@@ -92,51 +68,16 @@ def derivatives3(frame, child, coef, x, y):
     leaf, s, t, half = locate(frame, child, x, y)
     if leaf >= frame[4]:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    c = coef[leaf]
-    f = ft = ftt = fttt = fs = fst = fstt = fss = fsst = fsss = 0.0
-    for j in range(7, -1, -1):
-        p = p1 = p2 = p3 = 0.0
-        for i in range(7, -1, -1):
-            p3 = p3 * s + p2
-            p2 = p2 * s + p1
-            p1 = p1 * s + p
-            p = p * s + c[i, j]
-        fttt = fttt * t + ftt
-        ftt = ftt * t + ft
-        ft = ft * t + f
-        f = f * t + p
-        fstt = fstt * t + fst
-        fst = fst * t + fs
-        fs = fs * t + p1
-        fsst = fsst * t + fss
-        fss = fss * t + 2.0 * p2
-        fsss = fsss * t + 6.0 * p3
+    _, _, _, fss, fst, ftt, fsss, fsst, fstt, fttt = partials3(coef, leaf, s, t)
     r2 = 1.0 / (half * half)
     r3 = r2 / half
-    return (
-        fss * r2,
-        fst * r2,
-        2.0 * ftt * r2,
-        fsss * r3,
-        fsst * r3,
-        2.0 * fstt * r3,
-        6.0 * fttt * r3,
-    )
+    return fss * r2, fst * r2, ftt * r2, fsss * r3, fsst * r3, fstt * r3, fttt * r3
 
 
 @compiled
 def gradient(F, x, y):
     leaf, s, t, half = locate(F.frame, F.child, x, y)
-    c = F.coef[leaf]
-    f = fs = ft = 0.0
-    for j in range(7, -1, -1):
-        p = p1 = 0.0
-        for i in range(7, -1, -1):
-            p1 = p1 * s + p
-            p = p * s + c[i, j]
-        ft = ft * t + f
-        f = f * t + p
-        fs = fs * t + p1
+    _, fs, ft = partials1(F.coef, leaf, s, t)
     return fs / half, ft / half
 
 
@@ -145,27 +86,71 @@ def _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, s):
     return _value(frame, child, coef, ax + s * dx, ay + s * dy) - (az + s * dz)
 
 
+@inlined
+def _eight(frame, child, coef, ax, ay, dx, dy, ends, first, step):
+    """Heights at the shares ``first``, ``first + step``, ... of an edge; ``ends``: see ``_ends``."""
+    leaf, sa, ta, ds, dt = ends
+    p0, p1, p2, p3 = first, first + step, first + 2.0 * step, first + 3.0 * step
+    p4, p5, p6, p7 = p0 + 4.0 * step, p1 + 4.0 * step, p2 + 4.0 * step, p3 + 4.0 * step
+    if leaf >= 0:
+        return values8(
+            coef, leaf,
+            (sa + p0 * ds, sa + p1 * ds, sa + p2 * ds, sa + p3 * ds,
+             sa + p4 * ds, sa + p5 * ds, sa + p6 * ds, sa + p7 * ds),
+            (ta + p0 * dt, ta + p1 * dt, ta + p2 * dt, ta + p3 * dt,
+             ta + p4 * dt, ta + p5 * dt, ta + p6 * dt, ta + p7 * dt),
+        )  # fmt: skip
+    return (
+        _value(frame, child, coef, ax + p0 * dx, ay + p0 * dy),
+        _value(frame, child, coef, ax + p1 * dx, ay + p1 * dy),
+        _value(frame, child, coef, ax + p2 * dx, ay + p2 * dy),
+        _value(frame, child, coef, ax + p3 * dx, ay + p3 * dy),
+        _value(frame, child, coef, ax + p4 * dx, ay + p4 * dy),
+        _value(frame, child, coef, ax + p5 * dx, ay + p5 * dy),
+        _value(frame, child, coef, ax + p6 * dx, ay + p6 * dy),
+        _value(frame, child, coef, ax + p7 * dx, ay + p7 * dy),
+    )
+
+
+@inlined
+def _ends(frame, child, ax, ay, bx, by):
+    """The leaf that holds both ends of an edge, the local coordinates of the first end and those of
+    the edge; a leaf of -1 where each end has its own."""
+    leaf, sa, ta, _ = locate(frame, child, ax, ay)
+    other, sb, tb, _ = locate(frame, child, bx, by)
+    return (leaf if leaf == other else -1), sa, ta, sb - sa, tb - ta
+
+
 @compiled
-def _scan(frame, child, coef, ax, ay, az, dx, dy, dz, n):
-    """N - 1 samples along an edge, climbing from each leading local maximum by a parabola."""
-    left = _value(frame, child, coef, ax, ay) - az
-    here = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 1.0 / n)
-    best, where = left, 0.0
-    for k in range(1, n):
-        right = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, (k + 1.0) / n)
-        size = abs(here)
-        sign = 1.0 if here > 0.0 else -1.0
-        if size > 0.85 * abs(best) and sign * left <= size and sign * right <= size:
-            if size > abs(best):
-                best, where = here, k / n
-            bend = left - 2.0 * here + right
-            if bend != 0.0:
-                s = (k + 0.5 * (left - right) / bend) / n
-                if 0.0 < s < 1.0:
-                    e = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, s)
-                    if abs(e) > abs(best):
-                        best, where = e, s
-        left, here = here, right
+def _scan(frame, child, coef, ax, ay, az, dx, dy, dz, ends, left, n):
+    """Samples at n - 1 places along an edge, n a multiple of 8, and its second end.
+
+    Climbs from each leading local maximum by a parabola; ``left``: error at the first end.
+    """
+    here = best = left
+    where, step = 0.0, 1.0 / n
+    for k in range(0, n, 8):
+        heights = _eight(frame, child, coef, ax, ay, dx, dy, ends, (k + 1.0) * step, step)
+        for i in range(8):
+            right = heights[i] - (az + (k + i + 1.0) * step * dz)
+            size = abs(here)
+            sign = 1.0 if here > 0.0 else -1.0
+            if (
+                k + i > 0
+                and size > 0.85 * abs(best)
+                and sign * left <= size
+                and sign * right <= size
+            ):
+                if size > abs(best):
+                    best, where = here, (k + i) * step
+                bend = left - 2.0 * here + right
+                if bend != 0.0:
+                    s = (k + i + 0.5 * (left - right) / bend) * step
+                    if 0.0 < s < 1.0:
+                        e = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, s)
+                        if abs(e) > abs(best):
+                            best, where = e, s
+            left, here = here, right
     if abs(here) > abs(best):
         best, where = here, 1.0
     return best, where
@@ -180,13 +165,12 @@ def edge_error(F, ax, ay, az, bx, by, bz, stop):
     """
     dx, dy, dz = bx - ax, by - ay, bz - az
     frame, child, coef = F.frame, F.child, F.coef
-    e0 = _value(frame, child, coef, ax, ay) - az
-    e6 = _value(frame, child, coef, bx, by) - bz
-    e1 = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 1.0 / 6.0)
-    e2 = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 2.0 / 6.0)
-    e3 = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 3.0 / 6.0)
-    e4 = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 4.0 / 6.0)
-    e5 = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, 5.0 / 6.0)
+    ends = _ends(frame, child, ax, ay, bx, by)
+    sixth = 1.0 / 6.0
+    e0, e1, e2, e3, e4, e5, e6, _ = _eight(frame, child, coef, ax, ay, dx, dy, ends, 0.0, sixth)
+    e0, e6 = e0 - az, e6 - bz
+    e1, e2, e3 = e1 - (az + sixth * dz), e2 - (az + 2.0 * sixth * dz), e3 - (az + 0.5 * dz)
+    e4, e5 = e4 - (az + 4.0 * sixth * dz), e5 - (az + 5.0 * sixth * dz)
     top = max(abs(e1), abs(e2), abs(e3), abs(e4), abs(e5))
     fourth = max(
         abs(e0 - 4.0 * e1 + 6.0 * e2 - 4.0 * e3 + e4),
@@ -194,7 +178,8 @@ def edge_error(F, ax, ay, az, bx, by, bz, stop):
         abs(e2 - 4.0 * e3 + 6.0 * e4 - 4.0 * e5 + e6),
     )
     if fourth > 0.15 * top and top <= stop:
-        return _scan(frame, child, coef, ax, ay, az, dx, dy, dz, 24 if fourth > 0.6 * top else 12)
+        n = 24 if fourth > 0.6 * top else 16
+        return _scan(frame, child, coef, ax, ay, az, dx, dy, dz, ends, e0, n)
     best, where = e0, 0.0
     if abs(e6) > abs(best):
         best, where = e6, 1.0
@@ -210,13 +195,13 @@ def edge_error(F, ax, ay, az, bx, by, bz, stop):
             left, here, right = e4, e5, e6
         size = abs(here)
         if size > abs(best):
-            best, where = here, k / 6.0
+            best, where = here, k * sixth
         sign = 1.0 if here > 0.0 else -1.0
         if size < 0.85 * top or sign * left > size or sign * right > size or size > stop:
             continue
         bend = left - 2.0 * here + right
         if bend != 0.0:
-            s = (k + 0.5 * (left - right) / bend) / 6.0
+            s = (k + 0.5 * (left - right) / bend) * sixth
             if 0.0 < s < 1.0:
                 e = _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, s)
                 if abs(e) > abs(best):
