@@ -41,6 +41,7 @@ from equimesh.optimise.model import (
     mixed_inner,
     model_edge,
     model_inner,
+    model_middle,
     smooth_edge,
     smooth_inside,
 )
@@ -51,6 +52,7 @@ __all__ = [
     "ROOM",
     "evaluate_all",
     "lift",
+    "middle_of",
     "penalty",
     "set_edge",
     "set_inner",
@@ -142,6 +144,17 @@ def edge_of(F, m, tol, a, b):
     if math.isnan(e):
         e, s = edge_error(F, m.x[a], m.y[a], m.z[a], m.x[b], m.y[b], m.z[b], 1e3 * tol)
     return e * share_along(m, a, b) / tol, s
+
+
+@outlined
+def middle_of(F, m, tol, a, b):
+    """Signed error / tol in the middle of the segment from vertex a to vertex b: the largest is no
+    less, and takes far longer."""
+    if m.count[MODEL] == 1 and smooth_edge(m, a, b):
+        e = model_middle(m, a, b)
+    else:
+        e = value(F, 0.5 * (m.x[a] + m.x[b]), 0.5 * (m.y[a] + m.y[b])) - 0.5 * (m.z[a] + m.z[b])
+    return e * share_along(m, a, b) / tol
 
 
 @compiled

@@ -7,7 +7,7 @@ import numpy as np
 from equimesh.fields.compiled import compiled, inlined, outlined
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.workers import in_ranges
-from equimesh.optimise.energy import edge_of, inner_of, penalty
+from equimesh.optimise.energy import edge_of, inner_of, middle_of, penalty
 from equimesh.optimise.mesh import EPOCH, TRIANGLES, Mesh
 from equimesh.optimise.topology import flip, flippable
 
@@ -30,6 +30,8 @@ def _other_diagonal(F, m, tol, t, k):
     if before < 1e-5:
         return none
     goal = before * 0.999 - 1e-9
+    if penalty(m, middle_of(F, m, tol, d, c)) >= goal:
+        return none
     e, s = edge_of(F, m, tol, d, c)
     after = penalty(m, e)
     if after >= goal:

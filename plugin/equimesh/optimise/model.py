@@ -15,7 +15,7 @@ from equimesh.fields.patch_kernels import derivatives2
 
 __all__ = [
     "climbed", "edge_gradient", "halved_edge", "inner_gradient", "mixed_inner", "model_edge",
-    "model_inner", "smooth_edge", "smooth_inside",
+    "model_inner", "model_middle", "smooth_edge", "smooth_inside",
 ]  # fmt: skip
 
 # Bounds beyond which the true errors are asked: of the quintic's part in slopes at an edge's ends,
@@ -84,6 +84,15 @@ def model_edge(m, a, b):
     gb, kb = _along(m, b, dx, dy)
     d = m.w[b] - m.w[a]
     return _peak(ga, ka, gb, kb, m.z[b] - m.z[a] - d, m.w[a], d)
+
+
+@compiled
+def model_middle(m, a, b):
+    """Signed error of the chord from vertex a to vertex b in its middle."""
+    dx, dy = m.x[b] - m.x[a], m.y[b] - m.y[a]
+    ga, ka = _along(m, a, dx, dy)
+    gb, kb = _along(m, b, dx, dy)
+    return (10.0 * (ga - gb) + ka + kb) / 64.0 - 0.5 * (m.w[a] + m.w[b])
 
 
 @outlined
