@@ -23,15 +23,16 @@ from equimesh.optimise.energy import (
     share_along,
     share_inside,
 )
-from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, HELD, MODEL, SLIDES
+from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, HELD, MANNER, MODEL, SLIDES, SOFT
 from equimesh.optimise.model import edge_gradient, inner_gradient
 from equimesh.optimise.topology import ample, note_triangle, note_vertex, star
 
 __all__ = ["move_vertex", "star_energy"]
 
-# Share of a star's penalty that a move must lower it by, and by as much at least the errors' slopes
-# must promise to make it worth a trial: of those that promise less one in five hundred succeeds.
-_GAIN, _HOPE = 5e-3, 2.5e-3
+# Share of a star's penalty that a move must lower it by, and that where the penalty is a power and
+# nothing but a step on the way; half as much at least the errors' slopes must promise to make it
+# worth a trial: of those that promise less one in five hundred succeeds.
+_GAIN, _GAIN_OF_POWER = 5e-3, 2e-2
 _SHARES = (1.0, 0.4, 0.16, 0.064)  # of a step that are tried
 
 
@@ -231,7 +232,8 @@ def move_vertex(F, m, tol, v):
     x, y, z, w = m.x[v], m.y[v], m.z[v], m.w[v]
     gx, gy, hxx, hxy, hyy = m.jet[v, 0], m.jet[v, 1], m.jet[v, 2], m.jet[v, 3], m.jet[v, 4]
     note_vertex(m, v)
-    hope = _expected(m, count, 0.0, 0.0, 0.0) - _HOPE * before
+    least = before * (_GAIN_OF_POWER if m.count[MANNER] >= SOFT else _GAIN)
+    hope = _expected(m, count, 0.0, 0.0, 0.0) - 0.5 * least
     for k in range(4):
         scale = _SHARES[k]
         if _expected(m, count, scale * sx, scale * sy, scale * dz) > hope:
@@ -245,8 +247,8 @@ def move_vertex(F, m, tol, v):
         if high:
             m.w[v] = min(max(w + scale * dz * tol, -ROOM * tol), ROOM * tol)
         if lift(F, m, v, nx, ny):
-            after = _trial(F, m, tol, v, n, closed, before * (1.0 - _GAIN))
-            if after < before * (1.0 - _GAIN):
+            after = _trial(F, m, tol, v, n, closed, before - least)
+            if after < before - least:
                 store_star(m, v, n, closed)
                 return before - after
     m.x[v], m.y[v], m.z[v], m.w[v] = x, y, z, w
