@@ -135,18 +135,21 @@ class _Job:
             start = laid if turn == 0 and laid is not None else self.lattice(tol, error, turn)
             return _with(start, draft(*self.given(start), error, report, self.expected(tol)))
 
+        def improved(start: FirstMesh) -> FirstMesh:
+            return self.cycled(start, tol, min(how.cycles, most // _size(start)))
+
+        if number == 1:
+            return [improved(drafted(0, report))]
+        # Where all are kept none has to wait for the others.
+        first = (lambda turn: improved(drafted(turn))) if number <= kept else drafted
         best: list[FirstMesh] = []
         with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:
-            if number == 1:
-                best.append(drafted(0, report))
-            else:
-                for done, start in enumerate(pool.map(drafted, range(number)), 1):
-                    best = sorted([*best, start], key=_size)[:kept]
-                    report(done / number)
-            ends = pool.map(
-                lambda start: self.cycled(start, tol, min(how.cycles, most // _size(start))), best
-            )
-            return sorted(ends, key=_size)
+            for done, start in enumerate(pool.map(first, range(number)), 1):
+                best = sorted([*best, start], key=_size)[:kept]
+                report(done / number)
+            if number > kept:
+                best = list(pool.map(improved, best))
+        return sorted(best, key=_size)
 
     def cycled(self, start: FirstMesh, tol: float, most: int) -> FirstMesh:
         """The best of a draft and up to ``most`` more that are made from it."""
