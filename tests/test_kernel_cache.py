@@ -12,6 +12,16 @@ from equimesh.fields.kernel_cache import digest
 CALLEE = (
     "from equimesh.fields.compiled import {how}\n@{how}\ndef called(x):\n    return x + {more}\n"
 )
+INTRINSIC = """
+from numba import types
+from numba.extending import intrinsic
+MORE = {more}
+@intrinsic
+def called(typing, x):
+    def generated(context, builder, signature, args):
+        return builder.fadd(args[0], context.get_constant(types.float64, MORE))
+    return types.float64(types.float64), generated
+"""
 CALLER = """
 from equimesh.fields.compiled import compiled
 import callee
@@ -51,6 +61,16 @@ def test_a_change_in_another_file_is_noticed(tmp_path, how):
     said = []
     for more in (1, 1, 4):
         (tmp_path / "callee.py").write_text(CALLEE.format(how=how, more=f"{more}.0"))
+        said.append(run(code, tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "cache")).split())
+    assert said == [["8.0", "0"], ["8.0", "1"], ["14.0", "0"]]
+
+
+def test_a_change_in_an_intrinsic_is_noticed(tmp_path):
+    (tmp_path / "caller.py").write_text(CALLER)
+    code = "import caller; print(caller.above(3.0), sum(caller.above.stats.cache_hits.values()))"
+    said = []
+    for more in (1, 1, 4):
+        (tmp_path / "callee.py").write_text(INTRINSIC.format(more=f"{more}.0"))
         said.append(run(code, tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "cache")).split())
     assert said == [["8.0", "0"], ["8.0", "1"], ["14.0", "0"]]
 

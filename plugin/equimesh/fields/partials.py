@@ -27,7 +27,7 @@ def _partials(order: int) -> Any:
     derivatives by s: f, f_s, f_t, f_ss, f_st, f_tt, ...
     """
 
-    @intrinsic  # type: ignore[misc]
+    @intrinsic
     def partials(typing: Any, coef: Any, leaf: Any, s: Any, t: Any) -> Any:
         many = (order + 1) * (order + 2) // 2
         signature = types.UniTuple(types.float64, many)(coef, types.intp, s, t)
@@ -54,16 +54,14 @@ def _partials(order: int) -> Any:
     return partials
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def values8(typing: Any, coef: Any, leaf: Any, s: Any, t: Any) -> Any:
     """The polynomial of a leaf at eight places, whose coordinates are the tuples s and t."""
     signature = types.UniTuple(types.float64, 8)(coef, types.intp, s, t)
 
     def generated(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         first = _first(context, builder, signature, args)
-        s, t = (
-            _vector(builder, [builder.extract_value(a, k) for k in range(8)]) for a in args[2:]
-        )
+        s, t = (_vector(builder, [builder.extract_value(a, k) for k in range(8)]) for a in args[2:])
         value = [None]
         for j in range(_SIZE - 1, -1, -1):
             along = [None]
@@ -114,9 +112,7 @@ def _vector(builder: Any, numbers: list[Any]) -> Any:
 def _all(builder: Any, number: Any, size: int) -> Any:
     """A vector of the same number."""
     kind = ir.VectorType(_NUMBER, size)
-    one = builder.insert_element(
-        ir.Constant(kind, ir.Undefined), number, ir.Constant(_PLACE, 0)
-    )
+    one = builder.insert_element(ir.Constant(kind, ir.Undefined), number, ir.Constant(_PLACE, 0))
     zeros = ir.Constant(ir.VectorType(_PLACE, size), None)
     return builder.shuffle_vector(one, ir.Constant(kind, ir.Undefined), zeros)
 

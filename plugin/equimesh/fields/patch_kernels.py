@@ -88,7 +88,7 @@ def _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, s):
 
 @inlined
 def _eight(frame, child, coef, ax, ay, dx, dy, ends, first, step):
-    """Heights at the shares ``first``, ``first + step``, ... of an edge; ``ends``: see ``_ends``."""
+    """Heights at eight shares of an edge from ``first`` on; ``ends``: see ``_ends``."""
     leaf, sa, ta, ds, dt = ends
     p0, p1, p2, p3 = first, first + step, first + 2.0 * step, first + 3.0 * step
     p4, p5, p6, p7 = p0 + 4.0 * step, p1 + 4.0 * step, p2 + 4.0 * step, p3 + 4.0 * step

@@ -42,6 +42,10 @@ def in_ranges(work: Callable[[int, int], None], count: int, length: int = 2048) 
     They are fixed and must not depend on each other, so that the answer is the same whatever the
     number of threads (numba's: ``NUMBA_NUM_THREADS``). ``work`` should release the GIL.
     """
+    if count <= length:
+        if count > 0:
+            work(0, count)
+        return
     length = max(length, -(-count // _MOST))
     ranges = [(start, min(start + length, count)) for start in range(0, count, length)]
     threads = min(numba.config.NUMBA_NUM_THREADS, len(ranges))
