@@ -29,9 +29,9 @@ def random_system(seed, vertices):
     return of, dense, rng.normal(size=(vertices, 2))
 
 
-def solved(of, damping, downhill):
+def solved(of, damping, downhill, left=1e-4):
     step = np.full_like(downhill, np.nan)
-    solve(of, damping, downhill, step, np.full((4, *downhill.shape), np.nan))
+    solve(of, damping, downhill, step, np.full((4, *downhill.shape), np.nan), left)
     return step
 
 
@@ -46,6 +46,19 @@ def test_the_step_is_that_of_the_dense_system(seed, vertices, damping):
     # Iterations end when the residual is small, measured by the vertices' own blocks.
     error = found - exact
     assert error @ dense @ error <= 0.05 * exact @ dense @ exact
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 40), st.sampled_from([0.0, 0.04, 1.0]))
+@settings(max_examples=30, deadline=None)
+def test_a_rough_step_goes_downhill_as_well(seed, vertices, damping):
+    of, dense, downhill = random_system(seed, vertices)
+    dense += damping * np.diag(np.diag(dense))
+    model = []  # what the quadratic model falls by
+    for left in (1.0, 0.1, 1e-4):
+        step = solved(of, damping, downhill, left).ravel()
+        model.append(downhill.ravel() @ step - 0.5 * step @ dense @ step)
+    assert model[0] == 0.0
+    assert 0.0 < model[1] <= model[2] * (1 + 1e-12)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])

@@ -13,16 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.compiled import compiled
+from equimesh.fields.reference import by_reference
 from equimesh.fields.workers import in_ranges
 
-__all__ = ["Matrix", "matrix", "solve"]
+__all__ = ["Matrix", "matrix", "solve", "solve_alone"]
 
-_CONJUGATE = 60  # conjugate gradients for one step,
-_SMALL = 1e-4  # or as many as bring the square of the residual down to this share
+_CONJUGATE = 60  # conjugate gradients for one step, at most
 _MANY = 16_000  # vertices from which on threads share the rows,
 _ROWS = 4096  # so many at a time
 
 
+@by_reference
 class Matrix(NamedTuple):
     """Blocks of a symmetric matrix, row by row."""
 
@@ -54,35 +55,35 @@ def _list_edges(ends, free, beyond, places):
 
 
 @compiled
-def _multiply(diagonal, first, beyond, blocks, damping, d, q, start, stop):
+def _multiply(of, damping, d, q, start, stop):
     """Rows ``start`` ... ``stop`` of the damped matrix times d, into q; returns their part of
     d q."""
     more, total = 1.0 + damping, 0.0
     for v in range(start, stop):
         x, y = d[v, 0], d[v, 1]
-        qx = more * diagonal[v, 0] * x + diagonal[v, 1] * y
-        qy = diagonal[v, 1] * x + more * diagonal[v, 2] * y
-        for i in range(first[v], first[v + 1]):
-            w = beyond[i]
-            qx += blocks[i, 0] * d[w, 0] + blocks[i, 1] * d[w, 1]
-            qy += blocks[i, 2] * d[w, 0] + blocks[i, 3] * d[w, 1]
+        qx = more * of.diagonal[v, 0] * x + of.diagonal[v, 1] * y
+        qy = of.diagonal[v, 1] * x + more * of.diagonal[v, 2] * y
+        for i in range(of.first[v], of.first[v + 1]):
+            w, block = of.beyond[i], of.blocks[i]
+            qx += block[0] * d[w, 0] + block[1] * d[w, 1]
+            qy += block[2] * d[w, 0] + block[3] * d[w, 1]
         q[v, 0], q[v, 1] = qx, qy
         total += x * qx + y * qy
     return total
 
 
 @compiled
-def _advance(diagonal, damping, length, d, q, step, r, z, start, stop):
+def _advance(of, damping, length, d, q, step, r, z, start, stop):
     """A step of this length along d; the residual r, divided by the vertices' own blocks, is z.
 
     What has no block (fixed, gone) stays. Returns the rows' part of r z.
     """
-    total = 0.0
+    more, total = 1.0 + damping, 0.0
     for v in range(start, stop):
         for i in range(2):
             step[v, i] += length * d[v, i]
             r[v, i] -= length * q[v, i]
-        a, b, c = (1.0 + damping) * diagonal[v, 0], diagonal[v, 1], (1.0 + damping) * diagonal[v, 2]
+        a, b, c = more * of.diagonal[v, 0], of.diagonal[v, 1], more * of.diagonal[v, 2]
         least = 1e-9 * (a + c)
         a, c = a + least, c + least
         det = a * c - b * b
@@ -103,22 +104,25 @@ def _turn(z, share, d, start, stop):
 
 
 @compiled
-def _solve_alone(diagonal, first, beyond, blocks, damping, d, q, step, r, z):
-    """``solve`` in one thread, from the residual in r and zeros.
-
-    On a small mesh Python between the kernels would take longer than they do.
-    """
+def solve_alone(of, damping, downhill, step, work, left):
+    """``solve`` in one thread: on a small mesh Python between the kernels would take longer than
+    they do."""
     n = step.shape[0]
-    rz = least = _advance(diagonal, damping, 0.0, d, q, step, r, z, 0, n)
-    least *= _SMALL
+    d, q, z, r = work[0], work[1], work[2], work[3]
+    for v in range(n):
+        for i in range(2):
+            step[v, i] = d[v, i] = q[v, i] = 0.0
+            r[v, i] = downhill[v, i]
+    rz = least = _advance(of, damping, 0.0, d, q, step, r, z, 0, n)
+    least *= left
     _turn(z, 0.0, d, 0, n)
     for _ in range(_CONJUGATE):
         if not rz > least:
             break
-        dq = _multiply(diagonal, first, beyond, blocks, damping, d, q, 0, n)
+        dq = _multiply(of, damping, d, q, 0, n)
         if not dq > 0.0:
             break
-        before, rz = rz, _advance(diagonal, damping, rz / dq, d, q, step, r, z, 0, n)
+        before, rz = rz, _advance(of, damping, rz / dq, d, q, step, r, z, 0, n)
         _turn(z, rz / before, d, 0, n)
 
 
@@ -134,28 +138,27 @@ def solve(
     downhill: NDArray[np.float64],
     step: NDArray[np.float64],
     work: NDArray[np.float64],
+    left: float,
 ) -> None:
     """The damped ``step`` (v, 2) for the negative gradient ``downhill`` (v, 2).
 
-    ``work`` (4, v, 2) is scratch.
+    Until this share of the square of the residual is ``left``, measured by the vertices' own
+    blocks. ``work`` (4, v, 2) is scratch.
     """
     n = len(step)
+    if n < _MANY:
+        solve_alone(of, damping, downhill, step, work, left)
+        return
     d, q, z, r = work
     step[:], d[:], q[:], r[:] = 0.0, 0.0, 0.0, downhill
-    rows = of.diagonal, of.first, of.beyond, of.blocks
-    if n < _MANY:
-        _solve_alone(*rows, damping, d, q, step, r, z)
-        return
     parts = np.zeros(-(-n // _ROWS))
 
     def product(start: int, stop: int) -> None:
-        parts[start // _ROWS] = _multiply(*rows, damping, d, q, start, stop)
+        parts[start // _ROWS] = _multiply(of, damping, d, q, start, stop)
 
     def advanced(length: float) -> float:
         def work(start: int, stop: int) -> None:
-            parts[start // _ROWS] = _advance(
-                of.diagonal, damping, length, d, q, step, r, z, start, stop
-            )
+            parts[start // _ROWS] = _advance(of, damping, length, d, q, step, r, z, start, stop)
 
         return _shared(work, n, parts)
 
@@ -163,7 +166,7 @@ def solve(
         in_ranges(lambda start, stop: _turn(z, share, d, start, stop), n, _ROWS)
 
     rz = advanced(0.0)
-    least, share = _SMALL * rz, 0.0
+    least, share = left * rz, 0.0
     for _ in range(_CONJUGATE):
         turned(share)
         if not rz > least:

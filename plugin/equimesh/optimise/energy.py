@@ -50,6 +50,7 @@ from equimesh.optimise.topology import note_triangle
 __all__ = [
     "DEAREST",
     "ROOM",
+    "evaluate",
     "evaluate_all",
     "lift",
     "middle_of",
@@ -204,7 +205,7 @@ def set_inner(F, m, tol, t):
 
 
 @compiled
-def _evaluate(F, m, tol, moved, first, last):
+def evaluate(F, m, tol, moved, first, last):
     """Errors of the edges and insides of triangles ``first`` ... ``last`` with a moved vertex."""
     for t in range(first, last):
         if m.tv[t, 0] < 0:
@@ -230,7 +231,7 @@ def evaluate_all(
     """
     n = int(m.count[TRIANGLES])
     flags = np.ones(int(m.count[VERTICES]), np.uint8) if moved is None else moved
-    in_ranges(lambda first, last: _evaluate(F, m, tol, flags, first, last), n, _RANGE)
+    in_ranges(lambda first, last: evaluate(F, m, tol, flags, first, last), n, _RANGE)
 
 
 @compiled

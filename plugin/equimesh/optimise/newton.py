@@ -10,17 +10,19 @@ around which it does harm do not take it. The mesh keeps its connectivity.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from equimesh.fields.compiled import compiled
 from equimesh.fields.kernel import KernelField
+from equimesh.fields.reference import by_reference
 from equimesh.fields.workers import in_ranges
-from equimesh.optimise.conjugate import solve
-from equimesh.optimise.energy import evaluate_all, lift
+from equimesh.optimise.conjugate import solve, solve_alone
+from equimesh.optimise.energy import evaluate, evaluate_all, lift
 from equimesh.optimise.mesh import FREE, SLIDES, TRIANGLES, Mesh
-from equimesh.optimise.system import System, prices
+from equimesh.optimise.system import ALONE, System, prices, prices_alone
 from equimesh.optimise.topology import ample
 
 __all__ = ["relax_together"]
@@ -30,6 +32,9 @@ _REACH = 0.4  # how far a vertex may go in one step, in sizes of its star
 # Share of the diagonal that is added to it at first, and how that changes when a step fails or not:
 # of what a failed step costs two good ones can be made.
 _DAMPING, _HARDER, _EASIER = 0.04, 4.0, 0.7
+# Of the square of the residual, where conjugate gradients end: steps that are found more closely
+# take up to twice as long and make no better meshes.
+_LEFT = 0.1
 _TRIES = 3  # of a step, each with fewer vertices that take part
 _RANGE = 4096  # vertices, or triangles, that a thread works on at a time
 
@@ -108,24 +113,6 @@ def _take_back(F, m, old, turned):
     return moved
 
 
-def _walk(
-    field: KernelField,
-    mesh: Mesh,
-    old: NDArray[np.float64],
-    step: NDArray[np.float64],
-    turned: NDArray[np.uint8],
-) -> None:
-    """Put every vertex at its old place plus the step, except where a triangle would turn over.
-
-    ``turned`` (t,) is scratch.
-    """
-    in_ranges(lambda u, v: _step_from(field, mesh, old, step, u, v), len(old), _RANGE)
-    again = True
-    while again:
-        in_ranges(lambda t, u: _list_turned(mesh, t, u, turned), len(turned), _RANGE)
-        again = bool(turned.any()) and _take_back(field, mesh, old, turned)
-
-
 @compiled
 def _hold_back(m, before, after, step, rise):
     """Take the steps from vertices around which errors have become dearer.
@@ -144,49 +131,124 @@ def _hold_back(m, before, after, step, rise):
             step[v, 0] = step[v, 1] = 0.0
 
 
+@by_reference
+class _Room(NamedTuple):
+    """What a step is made of."""
+
+    old: NDArray[np.float64]  # (v, 2) places before the step,
+    last: NDArray[np.float64]  # and before its last trial;
+    moved: NDArray[np.uint8]  # (v,) whether that moved the vertex
+    step: NDArray[np.float64]  # (v, 2)
+    before: NDArray[np.float64]  # (t,) price of each triangle before the step,
+    after: NDArray[np.float64]  # and after it
+    turned: NDArray[np.uint8]  # (t,) scratch
+    rise: NDArray[np.float64]  # (v,)
+    spread: NDArray[np.float64]  # (v, 4)
+    work: NDArray[np.float64]  # (4, v, 2)
+
+
+def _room(vertices: int, triangles: int) -> _Room:
+    v, t = vertices, triangles
+    return _Room(
+        np.zeros((v, 2)), np.zeros((v, 2)), np.zeros(v, np.uint8), np.zeros((v, 2)),
+        np.zeros(t), np.zeros(t), np.zeros(t, np.uint8),
+        np.zeros(v), np.zeros((v, 4)), np.zeros((4, v, 2)),
+    )  # fmt: skip
+
+
+@compiled
+def _note_places(m, places):
+    for v in range(places.shape[0]):
+        places[v, 0], places[v, 1] = m.x[v], m.y[v]
+
+
+@compiled
+def _note_moves(m, places, moved):
+    for v in range(places.shape[0]):
+        moved[v] = m.x[v] != places[v, 0] or m.y[v] != places[v, 1]
+
+
+@compiled
+def _move_alone(F, m, tol, room):
+    """``_Steps.moved`` in one thread."""
+    triangles = room.turned.shape[0]
+    _note_places(m, room.last)
+    _step_from(F, m, room.old, room.step, 0, room.old.shape[0])
+    _list_turned(m, 0, triangles, room.turned)
+    while _take_back(F, m, room.old, room.turned):
+        _list_turned(m, 0, triangles, room.turned)
+    _note_moves(m, room.last, room.moved)
+    evaluate(F, m, tol, room.moved, 0, triangles)
+
+
+@compiled
+def _try_alone(F, m, tol, room, matrix, downhill, damping, energy):
+    """``_Steps.tried`` in one thread: on a small mesh Python between the kernels would take as long
+    as many of them do."""
+    solve_alone(matrix, damping, downhill, room.step, room.work, _LEFT)
+    _shorten(m, room.step, _REACH, room.spread)
+    now = math.inf
+    for _ in range(_TRIES):
+        _move_alone(F, m, tol, room)
+        now = prices_alone(m, 0, room.after.shape[0], room.after)
+        if now < energy:
+            break
+        _hold_back(m, room.before, room.after, room.step, room.rise)
+    return now
+
+
 class _Steps:
     """Steps of a mesh from where its vertices are, and back."""
 
     def __init__(self, field: KernelField, mesh: Mesh, tol: float) -> None:
         self.field, self.mesh, self.tol = field, mesh, tol
         self.system = System(mesh)
-        triangles, self.vertices = self.system.number.shape[0], len(self.system.downhill)
-        self.before, self.after = np.zeros(triangles), np.zeros(triangles)
-        self.turned = np.zeros(triangles, np.uint8)
-        self.step, self.spread = np.zeros((self.vertices, 2)), np.zeros((self.vertices, 4))
-        self.work = np.zeros((4, self.vertices, 2))
-        self.energy = prices(mesh, self.before)
-        self.old = np.empty((self.vertices, 2))
-        self.start()
-
-    def start(self) -> None:
-        """Steps begin where the vertices are now."""
-        self.old[:, 0], self.old[:, 1] = self.mesh.x[: self.vertices], self.mesh.y[: self.vertices]
+        self.vertices, self.triangles = len(self.system.downhill), len(self.system.number)
+        self.room = _room(self.vertices, self.triangles)
+        self.energy = prices(mesh, self.room.before)
+        _note_places(mesh, self.room.old)
 
     def tried(self, damping: float) -> float:
         """The energy after a step, taken by fewer vertices until it is below what it was."""
-        solve(self.system.matrix, damping, self.system.downhill, self.step, self.work)
-        _shorten(self.mesh, self.step, _REACH, self.spread)
-        now, rise = math.inf, np.zeros(self.vertices)
+        room, system = self.room, self.system
+        if self.triangles <= ALONE:
+            return float(
+                _try_alone(
+                    self.field, self.mesh, self.tol, room, system.matrix, system.downhill, damping,
+                    self.energy,
+                )
+            )  # fmt: skip
+        solve(system.matrix, damping, system.downhill, room.step, room.work, _LEFT)
+        _shorten(self.mesh, room.step, _REACH, room.spread)
+        now = math.inf
         for _ in range(_TRIES):
             self.moved()
-            now = prices(self.mesh, self.after)
+            now = prices(self.mesh, room.after)
             if now < self.energy:
                 break
-            _hold_back(self.mesh, self.before, self.after, self.step, rise)
+            _hold_back(self.mesh, room.before, room.after, room.step, room.rise)
         return now
 
     def moved(self) -> None:
-        """The mesh a step from the start, and its errors where a vertex is not where it was."""
-        x, y = self.mesh.x[: self.vertices].copy(), self.mesh.y[: self.vertices].copy()
-        _walk(self.field, self.mesh, self.old, self.step, self.turned)
-        moved = (self.mesh.x[: self.vertices] != x) | (self.mesh.y[: self.vertices] != y)
-        evaluate_all(self.field, self.mesh, self.tol, moved.view(np.uint8))
+        """The mesh a step from the start, except where a triangle would turn over, and its errors
+        where a vertex is not where it was."""
+        field, mesh, room = self.field, self.mesh, self.room
+        _note_places(mesh, room.last)
+        in_ranges(
+            lambda u, v: _step_from(field, mesh, room.old, room.step, u, v), self.vertices, _RANGE
+        )
+        again = True
+        while again:
+            in_ranges(lambda t, u: _list_turned(mesh, t, u, room.turned), self.triangles, _RANGE)
+            again = bool(room.turned.any()) and _take_back(field, mesh, room.old, room.turned)
+        _note_moves(mesh, room.last, room.moved)
+        evaluate_all(field, mesh, self.tol, room.moved)
 
     def kept(self, energy: float) -> None:
         """The step is good: the next begins at its end."""
-        self.energy, self.before, self.after = energy, self.after, self.before
-        self.start()
+        self.energy = energy
+        self.room = self.room._replace(before=self.room.after, after=self.room.before)
+        _note_places(self.mesh, self.room.old)
 
 
 def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> int:
@@ -204,7 +266,7 @@ def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> i
                 break
             damping *= _HARDER
         if not now < steps.energy:
-            steps.step[:] = 0.0
+            steps.room.step[:] = 0.0
             steps.moved()
             return done
         damping = max(_EASIER * damping, 1e-6)

@@ -32,7 +32,9 @@ from equimesh.optimise.mesh import (
 )
 from equimesh.optimise.model import edge_gradient, inner_gradient, smooth_edge, smooth_inside
 
-__all__ = ["System", "prices"]
+__all__ = ["ALONE", "System", "prices", "prices_alone"]
+
+ALONE = 2048  # triangles up to which a step is the work of one thread, and hardly Python's
 
 _DEAR = 10.0  # powers of errors above this count by their logarithm: else one would hide the rest
 _SLIGHT = 0.3  # errors inside below which their slopes do not matter
@@ -54,14 +56,18 @@ def _price(m, t):
 
 
 @compiled
-def _prices(m, first, last, out):
+def prices_alone(m, first, last, out):
+    """``prices`` of triangles ``first`` ... ``last`` in one thread."""
+    total = 0.0
     for t in range(first, last):
         out[t] = _price(m, t) if m.tv[t, 0] >= 0 else 0.0
+        total += out[t]
+    return total
 
 
 def prices(mesh: Mesh, out: NDArray[np.float64]) -> float:
     """Energy of each triangle into ``out`` (t,); returns their sum."""
-    in_ranges(lambda first, last: _prices(mesh, first, last, out), len(out), _RANGE)
+    in_ranges(lambda first, last: prices_alone(mesh, first, last, out), len(out), _RANGE)
     return float(out.sum())
 
 
@@ -192,7 +198,7 @@ def _add_side(m, t, i, by_twice, g, number, places, blocks):
 
 
 @compiled
-def _add(m, first, last, slopes, shares, number, diagonal, places, blocks, downhill, what):
+def _add(m, first, last, slopes, shares, number, of, downhill, what):
     """The parts of triangles ``first`` ... ``last`` in the gradient and in the vertices' blocks
     (``what`` 0) or in the edges' (1)."""
     for t in range(first, last):
@@ -204,9 +210,21 @@ def _add(m, first, last, slopes, shares, number, diagonal, places, blocks, downh
             for i in range(3):
                 # An edge's error has no slope at the corner across, so two sides have none.
                 if what == 0 and (k == 3 or i != (k + 2) % 3):
-                    _add_corner(m, t, i, by, by_twice, g, diagonal, downhill)
+                    _add_corner(m, t, i, by, by_twice, g, of.diagonal, downhill)
                 elif what == 1 and (k == 3 or i == k):
-                    _add_side(m, t, i, by_twice, g, number, places, blocks)
+                    _add_side(m, t, i, by_twice, g, number, of.places, of.blocks)
+
+
+@compiled
+def _assemble_alone(F, m, tol, slopes, shares, number, of, downhill):
+    """``System.assemble`` in one thread, for a mesh of one block."""
+    of.diagonal[:] = 0.0
+    of.blocks[:] = 0.0
+    downhill[:] = 0.0
+    last = number.shape[0]
+    _slopes(F, m, tol, 0, last, 0, slopes, shares)
+    for what in range(2):
+        _add(m, 0, last, slopes, shares, number, of, downhill, what)
 
 
 class System:
@@ -225,6 +243,11 @@ class System:
     def assemble(self, field: KernelField, mesh: Mesh, tol: float) -> None:
         """Both for the places and the errors that the mesh has now."""
         of = self.matrix
+        if len(self.number) <= ALONE:
+            _assemble_alone(
+                field, mesh, tol, self._slopes, self._shares, self.number, of, self.downhill
+            )
+            return
         of.diagonal[:], of.blocks[:], self.downhill[:] = 0.0, 0.0, 0.0
         for start in range(0, len(self.number), _BLOCK):
             stop = min(start + _BLOCK, len(self.number))
@@ -247,8 +270,8 @@ class System:
         def work(first: int, last: int) -> None:
             for what in range(first, last):
                 _add(
-                    mesh, start, stop, self._slopes, self._shares, self.number, of.diagonal,
-                    of.places, of.blocks, self.downhill, what,
+                    mesh, start, stop, self._slopes, self._shares, self.number, of,
+                    self.downhill, what,
                 )  # fmt: skip
 
         in_ranges(work, 2, 1 if stop - start >= _RANGE else 2)
