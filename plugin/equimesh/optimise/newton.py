@@ -32,9 +32,9 @@ _REACH = 0.4  # how far a vertex may go in one step, in sizes of its star
 # Share of the diagonal that is added to it at first, and how that changes when a step fails or not:
 # of what a failed step costs two good ones can be made.
 _DAMPING, _HARDER, _EASIER = 0.04, 4.0, 0.7
-# Of the square of the residual, where conjugate gradients end: steps that are found more closely
-# take up to twice as long and make no better meshes.
-_LEFT = 0.1
+# Of the square of the residual, where conjugate gradients end: in large meshes strain comes from
+# afar, in small ones steps that are found more closely take twice as long and lead to none better.
+_LEFT, _LEFT_ALONE = 1e-4, 0.1
 _TRIES = 3  # of a step, each with fewer vertices that take part
 _RANGE = 4096  # vertices, or triangles, that a thread works on at a time
 
@@ -185,7 +185,7 @@ def _move_alone(F, m, tol, room):
 def _try_alone(F, m, tol, room, matrix, downhill, damping, energy):
     """``_Steps.tried`` in one thread: on a small mesh Python between the kernels would take as long
     as many of them do."""
-    solve_alone(matrix, damping, downhill, room.step, room.work, _LEFT)
+    solve_alone(matrix, damping, downhill, room.step, room.work, _LEFT_ALONE)
     _shorten(m, room.step, _REACH, room.spread)
     now = math.inf
     for _ in range(_TRIES):
