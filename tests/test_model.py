@@ -5,15 +5,15 @@ import math
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import equimesh
 from equimesh.fields.dispatch import value as value_at
 from equimesh.fields.function import Function
 from equimesh.fields.kernel import KernelField
-from equimesh.optimise.energy import set_jet
-from equimesh.optimise.mesh import FREE, Mesh, build
+from equimesh.optimise.energy import edge_of, middle_of, set_jet
+from equimesh.optimise.mesh import FREE, MODEL, Mesh, build
 from equimesh.optimise.model import (
     climbed,
     edge_gradient,
@@ -137,6 +137,23 @@ def test_edges_follow_quintics_where_they_say_so(seed, size):
     e, s = model_edge(m, 0, 1)
     assert np.interp(s, t, errors) == pytest.approx(e, rel=1e-4, abs=1e-9)
     assert abs(e) == pytest.approx(np.abs(errors[peaks(errors)]).max(), rel=0.03)
+
+
+@settings(max_examples=300, deadline=None)
+@given(seeds, st.floats(0.05, 1.0), st.sampled_from([0.0, 0.01]), st.sampled_from([0, 1]))
+@example(1705, 0.25, 0.01, 1)
+def test_no_edge_has_less_error_than_in_its_middle(seed, size, height, model):
+    rng = np.random.default_rng(seed)
+    m = one_triangle(rng)
+    m.x[:3] *= size
+    m.y[:3] *= size
+    laid(WAVES, m, height * rng.normal(size=3))
+    m.count[MODEL] = model
+    middle, (most, _) = middle_of(WAVES, m, 1.0, 0, 1), edge_of(WAVES, m, 1.0, 0, 1)
+    assert abs(middle) <= 1.01 * abs(most) + 1e-9
+    true = error_at(WAVES, m, np.array([[0.5, 0.5, 0.0]]))[0]
+    if middle != 0.0 and not (model and smooth_edge(m, 0, 1)):
+        assert middle == pytest.approx(true, abs=1e-9)
 
 
 @settings(max_examples=300, deadline=None)

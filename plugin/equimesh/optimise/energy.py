@@ -149,12 +149,14 @@ def edge_of(F, m, tol, a, b):
 
 @outlined
 def middle_of(F, m, tol, a, b):
-    """Signed error / tol in the middle of the segment from vertex a to vertex b: the largest is no
-    less, and takes far longer."""
+    """Signed error / tol in the middle of the segment from vertex a to vertex b: the largest, which
+    takes far longer, is no less. 0 where an end is as far from the surface."""
     if m.count[MODEL] == 1 and smooth_edge(m, a, b):
         e = model_middle(m, a, b)
     else:
         e = value(F, 0.5 * (m.x[a] + m.x[b]), 0.5 * (m.y[a] + m.y[b])) - 0.5 * (m.z[a] + m.z[b])
+    if abs(e) <= max(abs(m.w[a]), abs(m.w[b])):
+        return 0.0
     return e * share_along(m, a, b) / tol
 
 
