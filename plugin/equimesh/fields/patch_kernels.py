@@ -87,29 +87,29 @@ def _chord_error(frame, child, coef, ax, ay, az, dx, dy, dz, s):
 
 
 @inlined
+def _spaced(start, along, first, step):
+    """Eight places from ``start`` at the shares ``first``, ``first + step``, ... of ``along``."""
+    p0, p1, p2, p3 = first, first + step, first + 2.0 * step, first + 3.0 * step
+    p4, p5, p6, p7 = p0 + 4.0 * step, p1 + 4.0 * step, p2 + 4.0 * step, p3 + 4.0 * step
+    return (
+        start + p0 * along, start + p1 * along, start + p2 * along, start + p3 * along,
+        start + p4 * along, start + p5 * along, start + p6 * along, start + p7 * along,
+    )  # fmt: skip
+
+
+@inlined
 def _eight(frame, child, coef, ax, ay, dx, dy, ends, first, step):
     """Heights at eight shares of an edge from ``first`` on; ``ends``: see ``_ends``."""
     leaf, sa, ta, ds, dt = ends
-    p0, p1, p2, p3 = first, first + step, first + 2.0 * step, first + 3.0 * step
-    p4, p5, p6, p7 = p0 + 4.0 * step, p1 + 4.0 * step, p2 + 4.0 * step, p3 + 4.0 * step
     if leaf >= 0:
-        return values8(
-            coef, leaf,
-            (sa + p0 * ds, sa + p1 * ds, sa + p2 * ds, sa + p3 * ds,
-             sa + p4 * ds, sa + p5 * ds, sa + p6 * ds, sa + p7 * ds),
-            (ta + p0 * dt, ta + p1 * dt, ta + p2 * dt, ta + p3 * dt,
-             ta + p4 * dt, ta + p5 * dt, ta + p6 * dt, ta + p7 * dt),
-        )  # fmt: skip
+        return values8(coef, leaf, _spaced(sa, ds, first, step), _spaced(ta, dt, first, step))
+    x, y = _spaced(ax, dx, first, step), _spaced(ay, dy, first, step)
     return (
-        _value(frame, child, coef, ax + p0 * dx, ay + p0 * dy),
-        _value(frame, child, coef, ax + p1 * dx, ay + p1 * dy),
-        _value(frame, child, coef, ax + p2 * dx, ay + p2 * dy),
-        _value(frame, child, coef, ax + p3 * dx, ay + p3 * dy),
-        _value(frame, child, coef, ax + p4 * dx, ay + p4 * dy),
-        _value(frame, child, coef, ax + p5 * dx, ay + p5 * dy),
-        _value(frame, child, coef, ax + p6 * dx, ay + p6 * dy),
-        _value(frame, child, coef, ax + p7 * dx, ay + p7 * dy),
-    )
+        _value(frame, child, coef, x[0], y[0]), _value(frame, child, coef, x[1], y[1]),
+        _value(frame, child, coef, x[2], y[2]), _value(frame, child, coef, x[3], y[3]),
+        _value(frame, child, coef, x[4], y[4]), _value(frame, child, coef, x[5], y[5]),
+        _value(frame, child, coef, x[6], y[6]), _value(frame, child, coef, x[7], y[7]),
+    )  # fmt: skip
 
 
 @inlined

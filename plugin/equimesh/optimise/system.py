@@ -34,12 +34,11 @@ from equimesh.optimise.model import edge_gradient, inner_gradient, smooth_edge, 
 
 __all__ = ["ALONE", "System", "prices", "prices_alone"]
 
-ALONE = 2048  # triangles up to which a step is the work of one thread, and hardly Python's
-
 _DEAR = 10.0  # powers of errors above this count by their logarithm: else one would hide the rest
 _SLIGHT = 0.3  # errors inside below which their slopes do not matter
 _RANGE = 2048  # triangles that a thread works on at a time,
 _BLOCK = 8_192  # and whose slopes are kept at a time
+ALONE = _RANGE  # up to which a step is one thread's, with hardly any Python between its kernels
 
 
 @inlined
