@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from equimesh.fields.dispatch import value
 from equimesh.fields.function import Function
+from equimesh.optimise import newton, system
 from equimesh.optimise.energy import evaluate_all, lift
 from equimesh.optimise.mesh import (
     FIRM,
@@ -132,6 +133,53 @@ def test_energy_falls_and_no_triangle_turns_over(seed, text, power):
     evaluate_all(field, mesh, tol)
     for old, new in zip(stored, (mesh.ee, mesh.ie), strict=True):
         np.testing.assert_array_equal(old, new)
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS)
+def test_steps_that_would_turn_triangles_are_taken_back(seed):
+    """Alike in one kernel and in ranges."""
+    field, tol = FIELDS["exp(x)+x*y/2+y**2"], 0.01
+    step, places = None, []
+    for alone in (True, False):
+        mesh = lattice(field)
+        mesh.count[MANNER] = SOFT
+        evaluate_all(field, mesh, tol)
+        steps = newton._Steps(field, mesh, tol)
+        if step is None:
+            step = np.random.default_rng(seed).uniform(-0.3, 0.3, steps.room.step.shape)
+            x, y = mesh.x.copy(), mesh.y.copy()
+            mesh.x[:61] += step[:, 0] * (mesh.kind[:61] == FREE)
+            mesh.y[:61] += step[:, 1] * (mesh.kind[:61] == FREE)
+            assert (twice_areas(mesh) < 0).any()
+            mesh.x[:], mesh.y[:] = x, y
+        steps.room.step[:] = step
+        if alone:
+            newton._move_alone(field, mesh, tol, steps.room)
+        else:
+            steps.moved()
+        assert (twice_areas(mesh) > 0).all()
+        places.append((mesh.x.copy(), mesh.y.copy(), mesh.ee.copy(), mesh.ie.copy()))
+    for one, other in zip(*places, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("power", POWERS)
+def test_one_kernel_steps_as_ranges_do(monkeypatch, power):
+    field, tol = FIELDS["exp(x)+x*y/2+y**2"], 0.01
+    monkeypatch.setattr(newton, "_LEFT", newton._LEFT_ALONE)
+    ends = []
+    for alone in (newton.ALONE, 0):
+        monkeypatch.setattr(newton, "ALONE", alone)
+        monkeypatch.setattr(system, "ALONE", alone)
+        mesh = lattice(field)
+        shaken(field, mesh, 4, 0.06)
+        mesh.count[MANNER] = POWERS[power]
+        evaluate_all(field, mesh, tol)
+        assert relax_together(field, mesh, tol, 5) > 0
+        ends.append((mesh.x, mesh.y, mesh.ee, mesh.ie))
+    for one, other in zip(*ends, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_one_bad_spot_does_not_stop_the_others():
