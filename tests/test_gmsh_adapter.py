@@ -12,6 +12,7 @@ import equimesh
 import equimesh_adapters
 from equimesh.errors import InputError
 from equimesh_adapters import gmsh as adapter
+from equimesh_adapters.gmsh_remesh import _turned_over
 
 api = pytest.importorskip("gmsh")
 
@@ -324,6 +325,27 @@ def test_a_plane_surface_with_curved_holes_is_remeshed_in_place(meshed, gmsh):
         np.testing.assert_allclose(radius, 0.2, rtol=1e-12)
     assert {p[2] for p in nodes_of(gmsh, 2, plate, border=True).values()} == {0.25}
     gmsh.model.mesh.setOrder(2)  # parameters of nodes on curves are right
+
+
+def test_no_triangle_of_second_order_turns_over_unseen():
+    """Against its Jacobian at many places, from the shape functions."""
+    rng = np.random.default_rng(0)
+    shares = np.vstack([rng.dirichlet([0.7] * 3, 400), np.eye(3)])
+    corners = np.array([[0, 0], [1, 0], [0.3, 0.8]])
+    middles = 0.5 * (corners + corners[[1, 2, 0]]) + rng.normal(0, 0.12, (1000, 3, 2))
+
+    def tangents(k):  # (1000, 403, 2), by the share of corner k
+        own, following, before = shares[:, [k, (k + 1) % 3, k - 1]].T[..., None]
+        bend = following * middles[:, None, k] + before * middles[:, None, k - 1]
+        return (4 * own - 1) * corners[k] + 4 * bend
+
+    a, b = tangents(1) - tangents(0), tangents(2) - tangents(0)
+    jacobian = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    turned = _turned_over(np.broadcast_to(corners, middles.shape), middles)
+    least = jacobian.min(1)
+    assert 100 < turned.sum() < 900
+    assert (least[~turned] > -0.01).all()
+    assert (turned[least < -0.01]).all()
 
 
 def test_orientation_follows_the_surface_and_the_curves(gmsh):
