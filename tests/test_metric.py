@@ -21,7 +21,9 @@ from equimesh.metric import (
     frame_at,
     lower_bound,
     lower_bound_of,
+    total_curvature,
 )
+from equimesh.transport import curvature
 
 SEEDS = st.integers(0, 2**32 - 1)
 LOCAL = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
@@ -234,3 +236,30 @@ def test_vertices_beside_a_convex_surface_see_half_its_metric(text):
     one, _, _ = frame_of(saddle, 0.1, 0.2, 1e-3)
     two, _, _ = frame_of(saddle.two_sided(), 0.1, 0.2, 1e-3)
     assert two == pytest.approx(one)
+
+
+def curvature_over_the_square(text):
+    square = shapely.box(0, 0, 1, 1)
+    function = Function(text)
+    kernel = function.kernel(square, 1e-6)  # whose local square is the same
+    return total_curvature(kernel, LOCAL, HALVES)
+
+
+@pytest.mark.parametrize(
+    "text", ["exp(5*x)*sin(5*y)", "exp(2*x + y) + (x - 2*y)**2", "x**2 + 3*y**2", "sin(x)"]
+)
+def test_flat_metrics_have_no_total_curvature(text):
+    assert curvature_over_the_square(text) < 1e-2
+
+
+def test_the_total_curvature_is_the_integral_of_that_of_the_metric():
+    """By the transport's own formula for K, at many places."""
+    text = "exp(x*y) + x**2 + 2*y**2"
+    function = Function(text)
+    t = (np.arange(60) + 0.5) / 60
+    x, y = (a.ravel() for a in np.meshgrid(t, t))
+    hessian = function.hessian(x, y)
+    bent, _ = curvature(hessian, function.third(x, y))
+    expected = (bent * np.sqrt(np.abs(np.linalg.det(hessian)))).mean()
+    assert expected > 0.01
+    assert curvature_over_the_square(text) == pytest.approx(expected, rel=0.02)

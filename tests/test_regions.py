@@ -6,6 +6,7 @@ from surfaces import FRANKE
 
 import equimesh
 from equimesh.optimise import anneal, driver, regions
+from equimesh.optimise.effort import EFFORTS
 from equimesh.optimise.energy import worst_errors
 from equimesh.optimise.mesh import FREE, VERTICES, build, copied, restore
 from equimesh.triangulation import constrained_delaunay
@@ -88,10 +89,8 @@ def test_rounds_leave_a_mesh_that_promises_fewer_triangles(monkeypatch):
     assert promises[1] < promises[0]
 
 
-@pytest.mark.parametrize("tol, rounds", [(5e-4, 0), (5e-3, 1)])
-def test_a_mesh_that_is_good_enough_gets_no_rounds_and_a_very_small_one_one(
-    monkeypatch, tol, rounds
-):
+@pytest.mark.parametrize("tol", [5e-4, 5e-3])
+def test_a_mesh_that_is_good_enough_gets_no_rounds(monkeypatch, tol):
     """Rounds end with the first mesh that promises at most the goal."""
     goals, made = [], []
 
@@ -104,9 +103,21 @@ def test_a_mesh_that_is_good_enough_gets_no_rounds_and_a_very_small_one_one(
     monkeypatch.setattr(regions, "exchange_all", lambda *_: made.append(1))
     result = equimesh.remesh("sin(6*x)*sin(5*y)", tol, (0, 0, 1, 1))
     assert result.status.ok
-    assert len(made) == rounds * len(goals)
-    least = result.lower_bound
-    assert goals[0] == pytest.approx(least + 4.5 * least**0.5, rel=0.03)
+    assert len(goals) > 0
+    assert len(made) == 0
+    expected = EFFORTS["balanced"].goal(result.lower_bound)
+    assert goals[0] == pytest.approx(expected, rel=0.03)
+
+
+def test_what_is_good_enough_falls_to_the_lower_bound_like_the_border():
+    """From a tenth or so of small meshes to a few triangles in the root of N*."""
+    goal = EFFORTS["balanced"].goal
+    least = np.geomspace(50, 3900, 40)
+    over = np.array([goal(n) / n for n in least.tolist()])
+    assert (np.diff(over) <= 1e-12).all()
+    assert (over <= 1 + np.maximum(0.12, 2 / np.sqrt(least)) + 1e-12).all()
+    assert goal(1e4) <= 1e4 + 4.5 * 100
+    assert EFFORTS["best"].goal(1000) < 1000
 
 
 def test_what_curvature_costs_falls_with_the_root_of_the_number():

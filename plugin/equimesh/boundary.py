@@ -59,15 +59,16 @@ def _side_nodes(f, child, coef, ax, ay, bx, by, eight_tol, floor, spacing, out):
     dx, dy = bx - ax, by - ay
     n = 64
     while True:
+        density = np.empty(n + 1)
+        density[0] = _density(f, child, coef, ax, ay, dx, dy, 0.0, eight_tol, floor)
         total = 0.0
         largest = 0.0
-        before = _density(f, child, coef, ax, ay, dx, dy, 0.0, eight_tol, floor)
         for i in range(n):
-            after = _density(f, child, coef, ax, ay, dx, dy, (i + 1) / n, eight_tol, floor)
-            piece = 0.5 * (before + after) / n
+            at = (i + 1) / n
+            density[i + 1] = _density(f, child, coef, ax, ay, dx, dy, at, eight_tol, floor)
+            piece = 0.5 * (density[i] + density[i + 1]) / n
             total += piece
             largest = max(largest, piece)
-            before = after
         if n >= 65536 or largest < 0.25:
             break
         n *= 4
@@ -76,15 +77,12 @@ def _side_nodes(f, child, coef, ax, ay, bx, by, eight_tol, floor, spacing, out):
     target = total / count
     found = 0
     reached = 0.0
-    before = _density(f, child, coef, ax, ay, dx, dy, 0.0, eight_tol, floor)
     for i in range(n):
-        after = _density(f, child, coef, ax, ay, dx, dy, (i + 1) / n, eight_tol, floor)
-        piece = 0.5 * (before + after) / n
+        piece = 0.5 * (density[i] + density[i + 1]) / n
         while found < count - 1 and reached + piece >= (found + 1) * target:
             out[found] = (i + ((found + 1) * target - reached) / piece) / n
             found += 1
         reached += piece
-        before = after
     return found
 
 

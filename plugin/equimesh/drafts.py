@@ -1,8 +1,8 @@
 """The best of several first meshes, each optimised on cheap errors and the best on the true ones.
 
 A lattice that fits a flat metric is settled at once; on a curved one annealing pays, from a lattice
-somewhat denser. Which density ends with the fewest triangles is not known beforehand: small meshes
-try several. Large ones are annealed where they are small and refined from there.
+somewhat denser. Which density ends with the fewest triangles is not known beforehand: ``best``
+tries several. Large ones are annealed where they are small and refined from there.
 """
 
 from __future__ import annotations
@@ -10,13 +10,21 @@ from __future__ import annotations
 import dataclasses
 import math
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 
 import numba
 
 from equimesh.domain import Sides
 from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
-from equimesh.first_mesh import FirstMesh, aim_for, expected_triangles, first_mesh
+from equimesh.first_mesh import (
+    FirstMesh,
+    aim_for,
+    corners_suffice,
+    curvature_over,
+    expected_triangles,
+    first_mesh,
+)
 from equimesh.frame import Frame
 from equimesh.optimise.driver import (
     Report,
@@ -33,11 +41,11 @@ from equimesh.refinement import refined
 
 __all__ = ["best_drafts", "finished"]
 
+_CURVED = 1.0  # total curvature of a metric in which no lattice fits
 _SEAMS = 0.08  # above this share of violated triangles a lattice had better be annealed
 # Errors to anneal lattices for, in units of the tolerance; the denser the lattice, the lower.
 _ERRORS = (0.93, 0.95, 0.94)
 _MISSING = 0.008  # of a coarse mesh's triangles: with more its refinements are worse than new ones
-_TINY = 250  # triangles, below which drafts differ by several in a hundred
 _FITTING = 4  # as many lattices cost what one that must be annealed does
 
 
@@ -63,7 +71,7 @@ def best_drafts(
         if how is not None:
             levels = job.levels(tol, math.floor(math.log(expected / how.least, 4.0)))
             coarse = tol * 4.0**levels * how.error
-            if levels > 0 and not job.fits(job.lattice(coarse)):
+            if levels > 0 and job.fitting(coarse) is None:
                 return [job.nested(tol, coarse, levels, how, report)]
     return job.drafts(tol, report)
 
@@ -108,27 +116,35 @@ class _Job:
             self.expected(tol) if self.kernel.kind == PATCHES else None,
         )  # fmt: skip
 
-    def fits(self, lattice: FirstMesh) -> bool:
-        """Whether a lattice fits, so that annealing it would not pay."""
-        return seam_share(self.kernel, lattice.mesh, lattice.aim) <= _SEAMS
+    @cached_property
+    def curved(self) -> bool:
+        """Whether no lattice fits, however it is laid."""
+        return curvature_over(self.kernel, self.sides, self.frame) > _CURVED
+
+    def fitting(self, tol: float) -> FirstMesh | None:
+        """The lattice if it fits, so that annealing it would not pay; or the corners if they do."""
+        if self.curved and not corners_suffice(self.surface, self.sides, tol):
+            return None
+        lattice = self.lattice(tol)
+        share = 0.0 if lattice.settled else seam_share(self.kernel, lattice.mesh, lattice.aim)
+        return lattice if share <= _SEAMS else None
 
     def drafts(self, tol: float, report: Report) -> list[FirstMesh]:
         """The best drafts from as many lattices as the effort has time for.
 
         On data, and where no further vertex is needed, the first mesh itself.
         """
-        lattice = self.lattice(tol)
-        if self.kernel.kind != PATCHES or lattice.settled:
-            return [lattice]
-        how, cost = EFFORTS[self.effort], float(_size(lattice))
-        fits = self.fits(lattice)
-        laid = lattice if fits else None
-        del lattice  # one that does not fit is of no use, and large
-        number, kept, most = how.drafts[cost < _TINY], how.kept[1], how.cycled[1]
+        if self.kernel.kind != PATCHES:
+            return [self.lattice(tol)]
+        laid = self.fitting(tol)
+        if laid is not None and laid.settled:
+            return [laid]
+        how, cost, fits = EFFORTS[self.effort], self.expected(tol), laid is not None
+        number, most = how.drafts, how.cycled[1]
         if fits:
-            number, kept, most = how.lattices, how.kept[0], how.cycled[0]
+            number, most = how.lattices, how.cycled[0]
             cost /= _FITTING
-        number = max(1, min(number, int(how.triangles // cost)))
+        number = max(1, min(number, int(how.triangles // max(cost, 1.0))))
 
         def drafted(turn: int, report: Report = lambda _: None) -> FirstMesh:
             error = None if fits else _ERRORS[turn % len(_ERRORS)]
@@ -141,13 +157,13 @@ class _Job:
         if number == 1:
             return [improved(drafted(0, report))]
         # Where all are kept none has to wait for the others.
-        first = (lambda turn: improved(drafted(turn))) if number <= kept else drafted
+        first = (lambda turn: improved(drafted(turn))) if number <= how.kept else drafted
         best: list[FirstMesh] = []
         with ThreadPoolExecutor(min(numba.config.NUMBA_NUM_THREADS, number)) as pool:
             for done, start in enumerate(pool.map(first, range(number)), 1):
-                best = sorted([*best, start], key=_size)[:kept]
+                best = sorted([*best, start], key=_size)[: how.kept]
                 report(done / number)
-            if number > kept:
+            if number > how.kept:
                 best = list(pool.map(improved, best))
         return sorted(best, key=_size)
 

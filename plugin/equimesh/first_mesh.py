@@ -17,14 +17,17 @@ from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.frame import Frame
 from equimesh.locality import curve_order
-from equimesh.metric import lattice_size
+from equimesh.metric import lattice_size, total_curvature
 from equimesh.optimise.anneal import relief
 from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, SLIDES, Mesh, build
 from equimesh.optimise.sweep import step_aside
 from equimesh.seeding import lattice_points
 from equimesh.triangulation import constrained_delaunay
 
-__all__ = ["FirstMesh", "aim_for", "expected_triangles", "first_mesh", "heights_at"]
+__all__ = [
+    "FirstMesh", "aim_for", "corners_suffice", "curvature_over", "expected_triangles", "first_mesh",
+    "heights_at",
+]  # fmt: skip
 
 # What triangles give away for safety, in units of the tolerance, is the less the smaller they are:
 # between the lattice's errors, the optimiser's hinge, its aim and the tolerance itself.
@@ -35,6 +38,7 @@ _DATA_MARGIN = 3e-3  # and on data, in units of the tolerance
 _SLACKS = (1.0, 0.6)  # how much of it lattices take in turn: with luck less is enough
 _ROOM = 0.3  # share of spare slots where a lattice is laid
 _MOST = 2e7  # triangles that memory is meant to hold
+_ALIKE = 1e-9  # of the domain's extent: coordinates that differ by rounding alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +72,9 @@ def first_mesh(
     """Vertices and triangles to start from, for a tolerance in units of z.
 
     ``error``: that of the lattice's triangles in units of the tolerance; None makes it a little
-    less than the optimiser's hinge, so that they are left alone. ``two_sided``: vertices may leave
-    the surface; where it is convex or concave they start beyond it (``kernel`` must know it).
+    less than the optimiser's hinge, so that they are left alone, and looks first whether the
+    corners alone would do. ``two_sided``: vertices may leave the surface; where it is convex or
+    concave they start beyond it (``kernel`` must know it).
     ``turn`` numbers lattices that start elsewhere, turned, with more or less to spare.
     ``expected``: what ``expected_triangles`` says, where it was asked already.
     """
@@ -79,7 +84,7 @@ def first_mesh(
     chains = _Chains(np.empty((0, 2)), sides.lines.edges, np.empty(0, np.int64))
     inner = np.empty((0, 2))
     slack, aim = _MOST_SLACK, tol * (1.0 - _DATA_MARGIN)
-    settled = kernel.kind == PATCHES and _coarse_is_enough(surface, sides, tol)
+    settled = error is None and kernel.kind == PATCHES and corners_suffice(surface, sides, tol)
     if kernel.kind == PATCHES and not settled:
         floor = _floor(local)
         if expected is None:
@@ -149,6 +154,11 @@ def expected_triangles(kernel: KernelField, sides: Sides, frame: Frame, tol: flo
     return _expected(kernel, _localised(_handed(sides, frame), frame), tol)
 
 
+def curvature_over(kernel: KernelField, sides: Sides, frame: Frame) -> float:
+    """How much a smooth field's metric is curved (see ``metric.total_curvature``)."""
+    return total_curvature(kernel, *_coarse(_localised(_handed(sides, frame), frame)))
+
+
 def aim_for(tol: float, triangles: float) -> float:
     """The tolerance that the optimiser of so many triangles is to keep."""
     return tol * (1.0 - _MARGIN * _slack(triangles))
@@ -164,16 +174,20 @@ def _floor(local: Sides) -> float:
 
 
 def _expected(kernel: KernelField, local: Sides, tol: float) -> float:
-    chains = _Chains(np.empty((0, 2)), local.lines.edges, np.empty(0, np.int64))
-    coarse, edges, walls = _outline(_corners_only(local), local, chains)
-    triangles = constrained_delaunay(coarse, edges, walls)
-    expected = lattice_size(kernel, coarse, triangles, tol, _floor(local))
+    expected = lattice_size(kernel, *_coarse(local), tol, _floor(local))
     if expected > _MOST:
         raise InputError(
             f"The tolerance asks for about {expected:.1e} triangles: raise it, or mesh the domain "
             "in parts."
         )
     return expected
+
+
+def _coarse(sides: Sides) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Points and triangles of the corners and the constraints alone."""
+    chains = _Chains(np.empty((0, 2)), sides.lines.edges, np.empty(0, np.int64))
+    points, edges, walls = _outline(_corners_only(sides), sides, chains)
+    return points, constrained_delaunay(points, edges, walls)
 
 
 def _localised(sides: Sides, frame: Frame) -> Sides:
@@ -237,12 +251,15 @@ def _outline(
     return points, ring.edges, place[chains.walls]
 
 
-def _coarse_is_enough(surface: Field, sides: Sides, tol: float) -> bool:
+def corners_suffice(surface: Field, sides: Sides, tol: float) -> bool:
     """Whether the domain's corners and the constraints alone make a mesh within the tolerance."""
-    chains = _Chains(np.empty((0, 2)), sides.lines.edges, np.empty(0, np.int64))
-    points, edges, walls = _outline(_corners_only(sides), sides, chains)
-    triangles = constrained_delaunay(points, edges, walls)
+    points, triangles = _coarse(sides)
     z = surface.value(points[:, 0], points[:, 1])
+    corners = np.column_stack([points, z])[triangles]
+    middles = np.concatenate([corners.mean(1), *(0.5 * (corners + corners[:, [1, 2, 0]]))])
+    off = surface.value(middles[:, 0], middles[:, 1]) - middles[:, 2]
+    if not (np.abs(off) <= tol).all():  # as nearly always
+        return False
     _, bounds = surface.errors(np.column_stack([points, z]), triangles, tol)
     return bool((bounds <= tol).all())
 
@@ -270,9 +287,16 @@ def _merged(
     side: NDArray[np.int64],
     corner: NDArray[np.int64],
 ) -> _Ring:
-    """Boundary nodes without duplicates (rings may touch in a corner) and their directed edges."""
+    """Boundary nodes without duplicates (rings may touch in a corner) and their directed edges.
+
+    They are numbered from left to right, wherever the rings begin.
+    """
     _, first, place = np.unique(points, axis=0, return_index=True, return_inverse=True)
-    order = np.sort(first)
-    index = np.searchsorted(order, first)[place.ravel()]
+    x, y = np.rint(points[first] / (_ALIKE * np.ptp(points, axis=0).max())).T
+    rank = np.empty(len(first), np.int64)
+    rank[np.lexsort([y, x])] = np.arange(len(first))
+    order = np.empty_like(first)
+    order[rank] = first
+    index = rank[place.ravel()]
     edges = np.stack([index, index[following]], 1)
     return _Ring(points[order], edges, side[order], corner[order], index[corner >= 0])

@@ -53,6 +53,16 @@ class Frame:
         origin = np.array([xmin + 0.5 * (xmax - xmin), ymin + 0.5 * (ymax - ymin)])
         return cls(origin, half * np.eye(2))
 
+    @classmethod
+    def along(cls, start: Array, end: Array, points: Array) -> Frame:
+        """The same for (n, 2) points, with the first axis from ``start`` towards ``end``."""
+        u, v = (end - start) / np.hypot(*(end - start))
+        turn = np.array([[u, -v], [v, u]])
+        turned = (points - start) @ turn
+        low, high = turned.min(0), turned.max(0)
+        half = 0.5 * float((high - low).max())
+        return cls(start + turn @ (low + 0.5 * (high - low)), half * turn)
+
     @property
     def determinant(self) -> float:
         """Area in the user's units of a local unit square; negative where the axes swap hands."""

@@ -29,6 +29,7 @@ __all__ = [
     "lattice_size",
     "lower_bound",
     "lower_bound_of",
+    "total_curvature",
 ]
 
 # Area per error of the optimal triangle (sec. 2, App. B) where f must be met at the vertices.
@@ -42,6 +43,8 @@ _CUBIC = 72.0 * math.sqrt(3.0)
 _FINE = 24  # parts of a side where a metric that is limited near det H = 0 is integrated,
 _BESIDE = 12  # and where the density of H itself is,
 _BESIDE_SMALL = 4  # also in triangles that are as small as the others' parts
+_LOOKS = 500  # places at which curvature is looked at
+_SINGULAR = 1e-6  # det H, in units of the squared norm of H, below which curvature says nothing
 _SIGN = 0.05  # of the range of det H in a triangle, that it must reach on both sides of zero
 
 
@@ -274,6 +277,52 @@ def lattice_size(
 ) -> float:
     """About how many triangles a lattice in the limited metric of ``frame_at`` has."""
     return _integrated(field, points, triangles, tol, floor, 1e4)
+
+
+@compiled
+def _bent(frame, child, coef, x, y):
+    """``|K| sqrt|det H| = |Gamma| / (4 |det H|^(3/2))``, Gamma of (10); 0 where H is singular."""
+    hxx, hxy, hyy, t111, t112, t122, t222 = derivatives3(frame, child, coef, x, y)
+    det = abs(hxx * hyy - hxy * hxy)
+    if det <= _SINGULAR * (hxx * hxx + 2.0 * hxy * hxy + hyy * hyy):
+        return 0.0
+    gamma = (
+        hxx * (t122 * t122 - t222 * t112)
+        + hxy * (t111 * t222 - t112 * t122)
+        + hyy * (t112 * t112 - t122 * t111)
+    )
+    return 0.25 * abs(gamma) / det**1.5
+
+
+@compiled
+def _sum_bent(frame, child, coef, points, triangles, n):
+    """Integral of ``_bent`` by the centres of n^2 parts of each triangle."""
+    total = 0.0
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ux, uy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+        vx, vy = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+        area = (ux * vy - uy * vx) / (2.0 * n * n)
+        for i in range(n):
+            for j in range(n - i):
+                for half in range(1 if i + j == n - 1 else 2):
+                    p, q = (i + (1 + half) / 3.0) / n, (j + (1 + half) / 3.0) / n
+                    x, y = points[a, 0] + p * ux + q * vx, points[a, 1] + p * uy + q * vy
+                    total += area * _bent(frame, child, coef, x, y)
+    return total
+
+
+def total_curvature(
+    field: KernelField, points: NDArray[np.float64], triangles: NDArray[np.int64]
+) -> float:
+    """About the integral of |K| over a domain that ``triangles`` cover (local coordinates).
+
+    K is the Gauss curvature of the metric H: near 0 where that is flat, and a number that neither
+    scale nor tolerance changes elsewhere, of 1 and more where no single lattice fits.
+    """
+    n = max(1, round(math.sqrt(_LOOKS / max(len(triangles), 1))))
+    plane = np.ascontiguousarray(points[:, :2])
+    return float(_sum_bent(field.frame, field.child, field.coef, plane, triangles, n))
 
 
 def _integrated(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
+from equimesh.domain import sides_of
 from equimesh.errors import InputError
 from equimesh.fields.base import Array, IntArray
 from equimesh.fields.differences import stencil_derivatives
@@ -20,6 +21,7 @@ __all__ = ["Function"]
 
 # Share of the tolerance to which piecewise polynomials stand in for f inside the optimiser.
 _PATCH_SHARE = 1e-3
+_TIED = 1e-9  # relative difference of what is alike but for rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +136,9 @@ class Function:
         xmin, ymin, xmax, ymax = shapely.bounds(domain)
         grid = np.meshgrid(np.linspace(xmin, xmax, 129), np.linspace(ymin, ymax, 129))
         x, y = (a.ravel() for a in grid)
-        inside = shapely.intersects_xy(domain, x, y)
+        inside = np.ones(len(x), bool)
+        if not domain.equals(shapely.box(xmin, ymin, xmax, ymax)):
+            inside = shapely.intersects_xy(domain, x, y)
         corners = shapely.get_coordinates(domain)
         z = self.value(np.append(x[inside], corners[:, 0]), np.append(y[inside], corners[:, 1]))
         if not np.isfinite(z).all():
@@ -148,7 +152,20 @@ class Function:
         return float(z.min()), float(z.max())
 
     def frame(self, domain: shapely.Geometry) -> Frame:
-        return Frame.of_bounds(*(float(v) for v in shapely.bounds(domain)))
+        """Along the longest side of the domain; of several that from whose start, middle and end
+        the function is the highest. So a turned copy of both has the same local coordinates."""
+        sides = sides_of(domain)
+        start, end = sides.corners, sides.corners[sides.following]
+        size = np.hypot(*(end - start).T)
+        choice = np.flatnonzero(size >= (1.0 - _TIED) * size.max())
+        along = (end - start)[choice]
+        x, y = np.concatenate([start[choice] + share * along for share in (0.0, 0.5, 1.0)]).T
+        heights = np.nan_to_num(self.value(x, y), nan=-np.inf).reshape(3, -1)
+        best = np.arange(len(choice))
+        for z in heights:
+            best = best[z[best] >= z[best].max() - _TIED * np.abs(z).max()]
+        side = choice[best[0]]
+        return Frame.along(start[side], end[side], sides.corners)
 
     def kernel(self, domain: shapely.Geometry, tol: float) -> KernelField:
         """Piecewise polynomials within ``tol / 1000`` of f over the domain."""

@@ -188,7 +188,7 @@ def _fit_cells(
     fitted = np.empty_like(z)
     bad = ~np.isfinite(z).all(axis=(1, 2))
     whole = np.flatnonzero(~bad)
-    cheb = np.einsum("ia,kab,jb->kij", _TO_CHEBYSHEV, z[whole], _TO_CHEBYSHEV, optimize=True)
+    cheb = _TO_CHEBYSHEV @ z[whole] @ _TO_CHEBYSHEV.T
     size = np.abs(cheb)
     along = np.array([size[:, -2:, :].sum((1, 2)), size[:, :, -2:].sum((1, 2))])
     before = np.array([size[:, -4:-2, :].sum((1, 2)), size[:, :, -4:-2].sum((1, 2))])
@@ -200,7 +200,7 @@ def _fit_cells(
     cells.wavy[live[whole]] = ((along > _WAVY * before) & (along > _NOTHING * tol)).any(0)
     for cell in np.flatnonzero(bad):
         fitted[cell], accurate[cell] = _fit_partly(x[cell], y[cell], z[cell], domain, tol)
-    cells.coef[live] = np.einsum("ia,kab,jb->kij", _TO_POWERS, fitted, _TO_POWERS, optimize=True)
+    cells.coef[live] = _TO_POWERS @ fitted @ _TO_POWERS.T
     cells.good[live] = accurate
     return cells
 

@@ -65,8 +65,7 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # the aims of cycles follow a sequence t
 _FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
 _PRESSES = (4, 2)  # rounds of pressing on Hermite's errors, which are cheap
 _EVENING = (2, 1)  # and between rounds of regions, where no refinement follows
-# Triangles below which a round and a cycle pay in any case, for numbers vary much, and two cycles.
-_SCATTER, _SCATTER_MORE = 1_500, 500
+_SMALL = 1_500  # triangles below which more trials of an exchange do not pay
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Hermite's formula.
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
@@ -114,10 +113,10 @@ def draft(
             queue = make_queue(len(mesh.x))
             anneal(field, mesh, tol, annealed, queue, how.trials)
             report(0.3)
-            small = triangles_in(mesh) < _SCATTER
             even_out(
-                field, mesh, tol, annealed, queue, how.trials if small else VISITS,
-                (int(small), how.evenings), PRESSES if finer else _EVENING, how.goal(least),
+                field, mesh, tol, annealed, queue,
+                how.trials if triangles_in(mesh) < _SMALL else VISITS,
+                how.evenings, PRESSES if finer else _EVENING, how.goal(least),
                 lambda f: report(0.3 + 0.5 * f),
             )  # fmt: skip
             report(0.8)
@@ -145,7 +144,7 @@ def finer_draft(
             return mesh
         queue = make_queue(len(mesh.x))
         even_out(
-            field, mesh, tol, AIM, queue, VISITS, (0, how.evenings), PRESSES, 0.0,
+            field, mesh, tol, AIM, queue, VISITS, how.evenings, PRESSES, 0.0,
             lambda f: report(0.4 + 0.2 * f),
         )  # fmt: skip
         mesh, queue = tighten(field, mesh, tol, how.aims, queue, lambda f: report(0.6 + 0.3 * f))
@@ -174,8 +173,7 @@ def cycled(
     how = EFFORTS[effort]
     best, size, idle = mesh, triangles_in(mesh), 0
     for number in range(most):
-        sure = int(size <= _SCATTER) + int(size <= _SCATTER_MORE)
-        if size <= how.goal(least) and number >= sure:
+        if size <= how.goal(least):
             break
         low, high = how.aims if is_wide(best) else AIMS
         error = low + (high - low) * math.fmod(_GOLDEN * (number + 1), 1.0)

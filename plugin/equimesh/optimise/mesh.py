@@ -20,6 +20,7 @@ __all__ = [
     "FIXED",
     "FREE",
     "SLIDES",
+    "WIDE",
     "Mesh",
     "build",
     "compact",
@@ -31,7 +32,7 @@ __all__ = [
     "triangles_in",
 ]
 
-_WIDE = 4_000  # triangles
+WIDE = 4_000  # triangles
 
 FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
 HELD = 4  # on top of the kind of a vertex that stays where it is while a mesh is in parts,
@@ -203,7 +204,7 @@ def triangles_in(mesh: Mesh) -> int:
 
 def is_wide(mesh: Mesh) -> bool:
     """Whether a mesh is so large that strain has where to go (``anneal.press``)."""
-    return triangles_in(mesh) >= _WIDE
+    return triangles_in(mesh) >= WIDE
 
 
 def copied(mesh: Mesh) -> Mesh:

@@ -47,24 +47,22 @@ def even_out(
     error: float,
     queue: Queue,
     visits: int,
-    rounds: tuple[int, int],
+    rounds: int,
     presses: tuple[int, int],
     goal: float,
     report: Callable[[float], None],
 ) -> None:
-    """Rounds of exchanges of an annealed mesh, each followed by a press; leaves the best of the
-    meshes in between.
+    """Up to so many ``rounds`` of exchanges of an annealed mesh, each followed by a press; leaves
+    the best of the meshes in between.
 
-    ``rounds``: the least and the most of them; between the two they end with a mesh that promises
-    at most ``goal`` triangles. ``error``: what it was annealed for at first. ``visits``: how many
-    moves of vertices around an exchange may make it pay. ``presses``: rounds of pressing before
-    errors are looked at.
+    They end with a mesh that promises at most ``goal`` triangles. ``error``: what it was annealed
+    for at first. ``visits``: how many moves of vertices around an exchange may make it pay.
+    ``presses``: rounds of pressing before errors are looked at.
     """
-    first, last = rounds
-    if last == 0:
+    if rounds == 0:
         return
     share, best, least, idle = shares(mesh, error), copied(mesh), math.inf, 0
-    for number in range(last + 1):
+    for number in range(rounds + 1):
         evaluate_all(field, mesh, tol)
         press(field, mesh, tol, presses)
         expected = _expected(mesh)
@@ -72,14 +70,14 @@ def even_out(
         if expected < least:
             restore(best, mesh)
             least = expected
-        if number == last or idle == _IDLE or (number >= first and least <= goal):
+        if number == rounds or idle == _IDLE or least <= goal:
             break
         crystals = bowls(mesh) & is_wide(mesh)
         mesh.share[:] = regional_shares(mesh, share, np.where(crystals, 1.0, _EAGER))
         exchange_all(field, mesh, error * tol, queue, visits, SOFT)
         share = mesh.share.copy()
         mesh.share[:] = 1.0
-        report((number + 1) / last)
+        report((number + 1) / rounds)
     restore(mesh, best)
 
 
