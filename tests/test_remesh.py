@@ -234,6 +234,23 @@ def test_more_effort_needs_no_more_triangles():
     assert fast >= balanced >= best
 
 
+def test_the_best_small_mesh_may_have_fewer_triangles_than_the_limit():
+    """What is near det H = 0 costs less than N* counts there: nothing stops at N*."""
+    result = equimesh.remesh(FRANKE, 5e-3, UNIT, effort="best")
+    assert result.status.ok
+    assert len(result.triangles) <= 0.96 * result.lower_bound
+
+
+@pytest.mark.parametrize("text, tol", [(HARMONIC, 3.3e-3), (CONVEX, 1.2e-4)])
+def test_a_domain_that_is_all_border_takes_a_seventh_more_at_most(text, tol):
+    """About a thousand triangles in a rectangle fifty times as long as it is high."""
+    strip = (0, 0.49, 1, 0.51)
+    result = equimesh.remesh(text, tol, strip)
+    assert result.status.ok
+    assert 900 < result.lower_bound < 1100
+    assert len(result.triangles) <= 1.16 * result.lower_bound
+
+
 @pytest.mark.parametrize("name", DOMAINS)
 @pytest.mark.parametrize("text, tol", [(HARMONIC, 0.3), (CONVEX, 1e-2), ("x*y", 1e-2)])
 def test_any_polygon_is_covered_and_certified(name, text, tol):

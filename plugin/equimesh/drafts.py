@@ -149,10 +149,10 @@ class _Job:
         def drafted(turn: int, report: Report = lambda _: None) -> FirstMesh:
             error = None if fits else _ERRORS[turn % len(_ERRORS)]
             start = laid if turn == 0 and laid is not None else self.lattice(tol, error, turn)
-            return _with(start, draft(*self.given(start), error, report, self.expected(tol)))
+            return _with(start, draft(*self.given(start), error, report, start.least))
 
         def improved(start: FirstMesh) -> FirstMesh:
-            return self.cycled(start, tol, min(how.cycles, most // _size(start)))
+            return self.cycled(start, min(how.cycles, most // _size(start)))
 
         if number == 1:
             return [improved(drafted(0, report))]
@@ -167,9 +167,9 @@ class _Job:
                 best = list(pool.map(improved, best))
         return sorted(best, key=_size)
 
-    def cycled(self, start: FirstMesh, tol: float, most: int) -> FirstMesh:
+    def cycled(self, start: FirstMesh, most: int) -> FirstMesh:
         """The best of a draft and up to ``most`` more that are made from it."""
-        return _with(start, cycled(*self.given(start), self.expected(tol), most))
+        return _with(start, cycled(*self.given(start), start.least, most))
 
     def nested(
         self, tol: float, coarse: float, levels: int, how: Nested, report: Report
@@ -218,7 +218,7 @@ def finished(
     def optimised(number: int) -> tuple[Mesh, bool]:
         start = starts[number]
         told = report if number == 0 else lambda _: None
-        return optimise(kernel, start.mesh, start.aim, effort, told, most)
+        return optimise(kernel, start.mesh, start.aim, effort, told, most, start.least)
 
     if len(starts) == 1:  # in the caller's own thread
         return starts[0], *optimised(0)

@@ -48,7 +48,8 @@ class FirstMesh:
     ``sides`` has the user's corners, directed as local coordinates see them. ``corner_of`` (n,)
     tells which of ``sides.vertices`` each first vertex is, -1 for none. ``settled``: no further
     vertex is needed. Vertices slide on rows of ``sides.segments``. ``aim``: the tolerance that the
-    optimiser is to keep, a little below the one asked for.
+    optimiser is to keep, a little below the one asked for. ``least``: about N*; 0 where no number
+    of triangles is good enough, infinite where every one is.
     """
 
     mesh: Mesh
@@ -56,6 +57,7 @@ class FirstMesh:
     corner_of: NDArray[np.int64]
     aim: float
     settled: bool = False
+    least: float = 0.0
 
 
 def first_mesh(
@@ -128,7 +130,7 @@ def first_mesh(
             step_aside(kernel, mesh, aim * (error or 1.0))
     if error is None:
         mesh.hinge[0] = 1.0 - slack
-    return FirstMesh(mesh, sides, corner_of, aim, settled)
+    return FirstMesh(mesh, sides, corner_of, aim, settled, expected or 0.0)
 
 
 def heights_at(

@@ -7,6 +7,8 @@ tolerance, with no more dislocations than it had.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,7 +69,7 @@ def refined(start: FirstMesh, surface: Field, frame: Frame, aim: float) -> First
     )  # fmt: skip
     fine.w[: len(above)] = above
     fine.count[HEIGHTS], fine.hinge[0] = mesh.count[HEIGHTS], mesh.hinge[0]
-    return FirstMesh(fine, sides, corner, aim)
+    return FirstMesh(fine, sides, corner, aim, least=math.inf)
 
 
 def _quarters(triangles: NDArray[np.int64], middles: NDArray[np.int64]) -> NDArray[np.int64]:

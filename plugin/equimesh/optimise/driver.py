@@ -128,7 +128,7 @@ def draft(
         if annealed is not None:
             _even_strain(field, mesh, tol)
             report(0.9)
-        return _completed(field, mesh, tol, effort)
+        return _completed(field, mesh, tol, effort, least)
 
 
 def finer_draft(
@@ -175,14 +175,16 @@ def cycled(
     for number in range(most):
         if size <= how.goal(least):
             break
-        low, high = how.aims if is_wide(best) else AIMS
+        wide = is_wide(best)
+        low, high = how.aims if wide else AIMS
+        visits = how.wide_visits if wide else how.visits
         error = low + (high - low) * math.fmod(_GOLDEN * (number + 1), 1.0)
         mesh = copied(best)
         with modelled(field, mesh):
-            exchange(field, mesh, tol, error, make_queue(len(mesh.x)), how.visits)
+            exchange(field, mesh, tol, error, make_queue(len(mesh.x)), visits)
             evaluate_all(field, mesh, tol)
             _even_strain(field, mesh, tol)
-            mesh = _completed(field, mesh, tol, effort)
+            mesh = _completed(field, mesh, tol, effort, least)
             good = violations(mesh, 1.0)[0] == 0
         idle += 1
         if good and triangles_in(mesh) <= size:
@@ -210,13 +212,15 @@ def _even_strain(field: KernelField, mesh: Mesh, tol: float) -> None:
     spread(field, mesh, tol, make_queue(len(mesh.x)), STRAINED)
 
 
-def _completed(field: KernelField, mesh: Mesh, tol: float, effort: str) -> Mesh:
+def _completed(field: KernelField, mesh: Mesh, tol: float, effort: str, least: float) -> Mesh:
     """Violations mended by moves and insertions; then vertices removed that can be spared."""
     queue = make_queue(len(mesh.x))
     relax_all(field, mesh, tol, queue, 40)
     mesh = lower_errors(field, mesh, tol, queue)
     if violations(mesh, 1.0)[0] == 0:
         for level, how in EFFORTS.items():  # what less effort removes goes first
+            if level == effort and triangles_in(mesh) <= how.goal(least):
+                break
             _remove(field, mesh, tol, how.rounds, how.visits, lambda _: None)
             if level == effort:
                 break
@@ -224,11 +228,18 @@ def _completed(field: KernelField, mesh: Mesh, tol: float, effort: str) -> Mesh:
 
 
 def optimise(
-    field: KernelField, mesh: Mesh, tol: float, effort: str, report: Report, most: float
+    field: KernelField,
+    mesh: Mesh,
+    tol: float,
+    effort: str,
+    report: Report,
+    most: float,
+    least: float = 0.0,
 ) -> tuple[Mesh, bool]:
     """Bring every error of the mesh to at most ``tol``, then take out what is not needed.
 
     The search on data at ``best``, whose errors are exact, goes up to ``most``, a larger tolerance.
+    ``least``: N*, see ``draft``.
     Returns the mesh (enlarged where it had to be) and whether every violation is gone.
     """
     how = EFFORTS[effort]
@@ -241,6 +252,8 @@ def optimise(
         mesh = _pressed(field, mesh, tol, how.presses)
         report(0.3)
         mesh = mended(field, mesh, tol, queue)
+        if triangles_in(mesh) <= how.goal(least):
+            rounds = 0
     else:
         rounds, visits = _ON_DATA[effort]
         mesh = insert_greedily(field, mesh, tol)

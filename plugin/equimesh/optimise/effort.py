@@ -28,41 +28,49 @@ class Effort:
     of them on the true errors, which are pressed in ``presses`` rounds. In between the ``kept``
     best drafts go through up to ``cycles`` of exchange and repair, as many as ``cycled`` triangles
     allow, the first numbers where lattices fit, for there is less to gain. In wide meshes they aim
-    at errors between the two of ``aims``: above 1 where visits are few, since not all that pays
-    where a whole mesh gives way does so where only a neighbourhood can. A mesh of ``1 + enough /
-    sqrt(N*)`` times N* triangles gets no more of either, since what its border costs falls like
-    that too; of wide ones, where more can be had, the second number says what is enough.
+    at errors between the two of ``aims``, with ``wide_visits``: above 1 where these are few, since
+    not all that pays where a whole mesh gives way does so where only a neighbourhood can. A mesh of
+    ``1 + enough / sqrt(N*)`` times N* triangles gets no more of either, nor of removal, since what
+    its border costs falls like that too; of wide ones, where more can be had, the second number
+    says what is enough. Without these numbers nothing is.
     """
 
-    lattices: int
-    drafts: int
-    triangles: int
-    trials: int
-    evenings: int
-    rounds: int
-    visits: int
-    last_rounds: int
-    last_visits: int
-    presses: int
-    kept: int
-    cycles: int
-    cycled: tuple[int, int]
-    enough: tuple[float, float]
+    lattices: int = 1
+    drafts: int = 1
+    triangles: int = 0
+    trials: int = 30
+    evenings: int = 0
+    rounds: int = 0
+    visits: int = 120
+    last_rounds: int = 0
+    last_visits: int = 120
+    presses: int = 0
+    kept: int = 1
+    cycles: int = 0
+    cycled: tuple[int, int] = (0, 0)
+    enough: tuple[float, float] | None = None
+    wide_visits: int = 0
     aims: tuple[float, float] = AIMS
 
     def goal(self, least: float) -> float:
         """With how many triangles a mesh is good enough where the lower bound N* is ``least``."""
+        if self.enough is None:
+            return 0.0  # N* is a limit, below which small meshes may be
         border = math.sqrt(least)
         few = least + max(_SPARE * least, _BORDER * border)
         enough = self.enough[least >= WIDE]
         return min(_FORESEEN * (least + enough * border), few)
 
 
-_NEVER = (0.0, 0.0)  # enough
 EFFORTS = {
-    "fast": Effort(1, 1, 0, 30, 0, 2, 60, 0, 0, 0, 1, 0, (0, 0), _NEVER),
+    "fast": Effort(rounds=1),
     "balanced": Effort(
-        2, 1, 3_000, 30, 6, 0, 30, 0, 0, 1, 1, 3, (4_000, 60_000), (4.5, 3.0), (1.0, 1.08)
+        lattices=2, triangles=3_000, evenings=6, last_rounds=1, presses=1, cycles=3,
+        cycled=(4_000, 60_000), enough=(4.5, 3.0), wide_visits=30, aims=(1.0, 1.08),
     ),
-    "best": Effort(200, 24, 60_000, 60, 8, 20, 300, 20, 600, 4, 8, 40, (300_000, 300_000), _NEVER),
-}
+    "best": Effort(
+        lattices=200, drafts=24, triangles=60_000, trials=60, evenings=8, rounds=20, visits=300,
+        last_rounds=20, last_visits=600, presses=4, kept=8, cycles=40, cycled=(300_000, 300_000),
+        wide_visits=300,
+    ),
+}  # fmt: skip

@@ -36,8 +36,7 @@ _CEILING = 1.3  # larger errors are no question of density
 # Triangles that it takes to mend one whose error is so much above 1, and less for less: a fit to
 # what 45 meshes took.
 _MENDING, _MUCH = 0.25, 0.02
-_GAIN = 5e-4  # of the triangles: rounds that save less are idle,
-_IDLE = 2  # and after so many in a row there is no more
+_GAIN = 5e-4  # of the triangles: after a round that saves less there is no more
 
 
 def even_out(
@@ -61,16 +60,16 @@ def even_out(
     """
     if rounds == 0:
         return
-    share, best, least, idle = shares(mesh, error), copied(mesh), math.inf, 0
+    share, best, least = shares(mesh, error), copied(mesh), math.inf
     for number in range(rounds + 1):
         evaluate_all(field, mesh, tol)
         press(field, mesh, tol, presses)
         expected = _expected(mesh)
-        idle = 0 if expected < (1.0 - _GAIN) * least else idle + 1
+        idle = not expected < (1.0 - _GAIN) * least
         if expected < least:
             restore(best, mesh)
             least = expected
-        if number == rounds or idle == _IDLE or least <= goal:
+        if number == rounds or idle or least <= goal:
             break
         crystals = bowls(mesh) & is_wide(mesh)
         mesh.share[:] = regional_shares(mesh, share, np.where(crystals, 1.0, _EAGER))
