@@ -42,6 +42,7 @@ from equimesh.refinement import refined
 __all__ = ["best_drafts", "finished"]
 
 _CURVED = 1.0  # total curvature of a metric in which no lattice fits
+_FEW = 250  # triangles, most of which are near the border: annealing pays in any case
 _SEAMS = 0.08  # above this share of violated triangles a lattice had better be annealed
 # Errors to anneal lattices for, in units of the tolerance; the denser the lattice, the lower.
 _ERRORS = (0.93, 0.95, 0.94)
@@ -123,7 +124,8 @@ class _Job:
 
     def fitting(self, tol: float) -> FirstMesh | None:
         """The lattice if it fits, so that annealing it would not pay; or the corners if they do."""
-        if self.curved and not corners_suffice(self.surface, self.sides, tol):
+        hopeless = self.expected(tol) < _FEW or self.curved
+        if hopeless and not corners_suffice(self.surface, self.sides, tol):
             return None
         lattice = self.lattice(tol)
         share = 0.0 if lattice.settled else seam_share(self.kernel, lattice.mesh, lattice.aim)

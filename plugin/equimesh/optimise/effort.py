@@ -65,8 +65,8 @@ class Effort:
 EFFORTS = {
     "fast": Effort(rounds=1),
     "balanced": Effort(
-        lattices=2, triangles=3_000, evenings=6, last_rounds=1, presses=1, cycles=3,
-        cycled=(4_000, 60_000), enough=(4.5, 3.0), wide_visits=30, aims=(1.0, 1.08),
+        evenings=6, last_rounds=1, presses=1, cycles=3, cycled=(4_000, 60_000), enough=(4.5, 3.0),
+        wide_visits=30, aims=(1.0, 1.08),
     ),
     "best": Effort(
         lattices=200, drafts=24, triangles=60_000, trials=60, evenings=8, rounds=20, visits=300,
