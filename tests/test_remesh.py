@@ -354,6 +354,19 @@ def test_a_turned_copy_is_meshed_by_the_turned_mesh(degrees, scale):
     assert gaps.min(1).max() < 1e-6
 
 
+@pytest.mark.parametrize("text, tol", [(HARMONIC, 0.3), (FRANKE, 5e-3)])
+def test_a_mesh_does_not_tell_where_a_ring_begins_and_which_way_it_runs(text, tol):
+    corners = [(0, 0), (1, 0.1), (0.9, 0.8), (0.5, 1), (0.1, 0.7)]
+    hole = [(0.4, 0.3), (0.6, 0.3), (0.5, 0.6)]
+    plain = equimesh.remesh(text, tol, shapely.Polygon(corners, [hole]))
+    for k in (1, 3):
+        same = shapely.Polygon(corners[k:] + corners[:k], [hole[k % 3 :] + hole[: k % 3]])
+        for domain in (same, same.reverse()):
+            again = equimesh.remesh(text, tol, domain)
+            assert np.array_equal(again.points, plain.points)
+            assert np.array_equal(again.triangles, plain.triangles)
+
+
 @pytest.mark.parametrize("text, tol", [(HARMONIC, 0.3), (CONVEX, 1e-2), (FRANKE, 5e-3)])
 @pytest.mark.parametrize("factor", [8.0, 2.0**-40, 2.0**30])
 def test_heights_and_tolerance_in_other_units_give_the_same_mesh(text, tol, factor):
