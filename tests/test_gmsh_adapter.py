@@ -12,7 +12,7 @@ import equimesh
 import equimesh_adapters
 from equimesh.errors import InputError
 from equimesh_adapters import gmsh as adapter
-from equimesh_adapters.gmsh_remesh import _turned_over
+from equimesh_adapters.gmsh_curved import turned_over
 
 api = pytest.importorskip("gmsh")
 
@@ -341,7 +341,7 @@ def test_no_triangle_of_second_order_turns_over_unseen():
 
     a, b = tangents(1) - tangents(0), tangents(2) - tangents(0)
     jacobian = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    turned = _turned_over(np.broadcast_to(corners, middles.shape), middles)
+    turned = turned_over(np.broadcast_to(corners, middles.shape), middles)
     least = jacobian.min(1)
     assert 100 < turned.sum() < 900
     assert (least[~turned] > -0.01).all()
