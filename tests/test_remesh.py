@@ -242,7 +242,7 @@ def test_the_best_small_mesh_may_have_fewer_triangles_than_the_limit():
 
 
 @pytest.mark.parametrize("text, tol", [(HARMONIC, 3.3e-3), (CONVEX, 1.2e-4)])
-def test_a_domain_that_is_all_border_takes_a_seventh_more_at_most(text, tol):
+def test_a_domain_that_is_all_border_takes_a_sixth_more_at_most(text, tol):
     """About a thousand triangles in a rectangle fifty times as long as it is high."""
     strip = (0, 0.49, 1, 0.51)
     result = equimesh.remesh(text, tol, strip)

@@ -52,6 +52,8 @@ def chain_of(
         if curve.smooth and len(own):
             middles[own] = _between(gmsh, curve, patch.points[patch.edges[own]], height)
             bent[own] = True
+    if not bent.any():
+        return chain, False
     number = {frozenset(edge): k for k, edge in enumerate(patch.edges.tolist()) if bent[k]}
     sides = patch.triangles[:, [[0, 1], [1, 2], [2, 0]]]
     edge = np.array([[number.get(frozenset(e), -1) for e in t] for t in sides.tolist()])

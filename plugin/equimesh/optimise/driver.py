@@ -219,10 +219,10 @@ def _completed(field: KernelField, mesh: Mesh, tol: float, effort: str, least: f
     mesh = lower_errors(field, mesh, tol, queue)
     if violations(mesh, 1.0)[0] == 0:
         for level, how in EFFORTS.items():  # what less effort removes goes first
-            if level == effort and triangles_in(mesh) <= how.goal(least):
-                break
-            _remove(field, mesh, tol, how.rounds, how.visits, lambda _: None)
-            if level == effort:
+            last = level == effort
+            if not last or triangles_in(mesh) > how.goal(least):
+                _remove(field, mesh, tol, how.rounds, how.visits, lambda _: None)
+            if last:
                 break
     return mesh
 
