@@ -15,14 +15,9 @@ from equimesh.expression import parse
 from equimesh.fields.function import Function
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.fields.patches import fit_patches
+from equimesh.integrals import lower_bound, lower_bound_of, total_curvature
 from equimesh.lattice import boost
-from equimesh.metric import (
-    BOOST_PERIOD,
-    frame_at,
-    lower_bound,
-    lower_bound_of,
-    total_curvature,
-)
+from equimesh.metric import BOOST_PERIOD, frame_at
 from equimesh.transport import curvature
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -168,6 +168,7 @@ def test_steps_that_would_turn_triangles_are_taken_back(seed):
 def test_one_kernel_steps_as_ranges_do(monkeypatch, power):
     field, tol = FIELDS["exp(x)+x*y/2+y**2"], 0.01
     monkeypatch.setattr(newton, "_LEFT", newton._LEFT_ALONE)
+    monkeypatch.setattr(newton, "_ENOUGH", newton._ENOUGH_ALONE)
     ends = []
     for alone in (newton.ALONE, 0):
         monkeypatch.setattr(newton, "ALONE", alone)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -125,6 +126,7 @@ class Sides:
         return np.vstack([sides, self.vertices[self.lines.edges].reshape(-1, 4)])
 
 
+@functools.lru_cache(2)  # one call of remesh asks several times
 def sides_of(geometry: shapely.Geometry) -> Sides:
     """Sides of a domain; vertices on a straight line between their neighbours are left out.
 

@@ -18,14 +18,16 @@ from equimesh.domain import Sides
 from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.first_mesh import (
+    Coarse,
     FirstMesh,
     aim_for,
+    coarse_mesh,
     corners_suffice,
-    curvature_over,
     expected_triangles,
     first_mesh,
 )
 from equimesh.frame import Frame
+from equimesh.integrals import total_curvature
 from equimesh.optimise.driver import (
     Report,
     cycled,
@@ -89,10 +91,14 @@ class _Job:
     two_sided: bool
     sizes: dict[float, float] = dataclasses.field(default_factory=dict)  # by tolerance
 
+    @cached_property
+    def coarse(self) -> Coarse:
+        return coarse_mesh(self.sides, self.frame)
+
     def expected(self, tol: float) -> float:
         """About how many triangles a lattice has."""
         if tol not in self.sizes:
-            self.sizes[tol] = expected_triangles(self.kernel, self.sides, self.frame, tol)
+            self.sizes[tol] = expected_triangles(self.kernel, self.coarse, tol)
         return self.sizes[tol]
 
     def levels(self, tol: float, most: int) -> int:
@@ -111,24 +117,27 @@ class _Job:
             most, missing = most - 1, 0.5 * missing
         return most
 
-    def lattice(self, tol: float, error: float | None = None, turn: int = 0) -> FirstMesh:
+    def lattice(
+        self, tol: float, error: float | None = None, turn: int = 0, bare: bool = False
+    ) -> FirstMesh:
         return first_mesh(
             self.surface, self.kernel, self.sides, self.frame, tol, error, self.two_sided, turn,
-            self.expected(tol) if self.kernel.kind == PATCHES else None,
+            self.expected(tol) if self.kernel.kind == PATCHES else None, bare,
         )  # fmt: skip
 
     @cached_property
     def curved(self) -> bool:
         """Whether no lattice fits, however it is laid."""
-        return curvature_over(self.kernel, self.sides, self.frame) > _CURVED
+        return total_curvature(self.kernel, *self.coarse) > _CURVED
 
     def fitting(self, tol: float) -> FirstMesh | None:
         """The lattice if it fits, so that annealing it would not pay; or the corners if they do."""
-        hopeless = self.expected(tol) < _FEW or self.curved
-        if hopeless and not corners_suffice(self.surface, self.sides, tol):
+        if corners_suffice(self.surface, self.coarse, self.frame, tol):
+            return self.lattice(tol, bare=True)
+        if self.expected(tol) < _FEW or self.curved:
             return None
         lattice = self.lattice(tol)
-        share = 0.0 if lattice.settled else seam_share(self.kernel, lattice.mesh, lattice.aim)
+        share = seam_share(self.kernel, lattice.mesh, lattice.aim)
         return lattice if share <= _SEAMS else None
 
     def drafts(self, tol: float, report: Report) -> list[FirstMesh]:

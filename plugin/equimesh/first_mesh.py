@@ -16,8 +16,8 @@ from equimesh.errors import InputError
 from equimesh.fields.base import Field
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.frame import Frame
+from equimesh.integrals import lattice_size
 from equimesh.locality import curve_order
-from equimesh.metric import lattice_size, total_curvature
 from equimesh.optimise.anneal import relief
 from equimesh.optimise.mesh import FIXED, FREE, HEIGHTS, SLIDES, Mesh, build
 from equimesh.optimise.sweep import step_aside
@@ -25,8 +25,8 @@ from equimesh.seeding import lattice_points
 from equimesh.triangulation import constrained_delaunay
 
 __all__ = [
-    "FirstMesh", "aim_for", "corners_suffice", "curvature_over", "expected_triangles", "first_mesh",
-    "heights_at",
+    "Coarse", "FirstMesh", "aim_for", "coarse_mesh", "corners_suffice", "expected_triangles",
+    "first_mesh", "heights_at",
 ]  # fmt: skip
 
 # What triangles give away for safety, in units of the tolerance, is the less the smaller they are:
@@ -39,6 +39,13 @@ _SLACKS = (1.0, 0.6)  # how much of it lattices take in turn: with luck less is 
 _ROOM = 0.3  # share of spare slots where a lattice is laid
 _MOST = 2e7  # triangles that memory is meant to hold
 _ALIKE = 1e-9  # of the domain's extent: coordinates that differ by rounding alone
+
+
+class Coarse(NamedTuple):
+    """A mesh of the corners and the constraints alone: (n, 2) local points, (m, 3) triangles."""
+
+    points: NDArray[np.float64]
+    triangles: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,15 +77,16 @@ def first_mesh(
     two_sided: bool = False,
     turn: int = 0,
     expected: float | None = None,
+    bare: bool = False,
 ) -> FirstMesh:
     """Vertices and triangles to start from, for a tolerance in units of z.
 
     ``error``: that of the lattice's triangles in units of the tolerance; None makes it a little
-    less than the optimiser's hinge, so that they are left alone, and looks first whether the
-    corners alone would do. ``two_sided``: vertices may leave the surface; where it is convex or
-    concave they start beyond it (``kernel`` must know it).
+    less than the optimiser's hinge, so that they are left alone. ``two_sided``: vertices may leave
+    the surface; where it is convex or concave they start beyond it (``kernel`` must know it).
     ``turn`` numbers lattices that start elsewhere, turned, with more or less to spare.
-    ``expected``: what ``expected_triangles`` says, where it was asked already.
+    ``expected``: what ``expected_triangles`` says, where it was asked already. ``bare``: the
+    corners suffice, and no lattice is laid; nor is one on data.
     """
     sides = _handed(sides, frame)
     local = _localised(sides, frame)
@@ -86,11 +94,11 @@ def first_mesh(
     chains = _Chains(np.empty((0, 2)), sides.lines.edges, np.empty(0, np.int64))
     inner = np.empty((0, 2))
     slack, aim = _MOST_SLACK, tol * (1.0 - _DATA_MARGIN)
-    settled = error is None and kernel.kind == PATCHES and corners_suffice(surface, sides, tol)
-    if kernel.kind == PATCHES and not settled:
-        floor = _floor(local)
+    laid = kernel.kind == PATCHES and not bare
+    if laid:
+        floor = _floor(local.corners)
         if expected is None:
-            expected = _expected(kernel, local, tol)
+            expected = expected_triangles(kernel, coarse_mesh(sides, frame), tol)
         slack = _slack(expected) * _SLACKS[turn % len(_SLACKS)]
         reached = 1.0 - 1.2 * slack
         aim = tol * (1.0 - _MARGIN * slack)
@@ -126,11 +134,11 @@ def first_mesh(
     )  # fmt: skip
     if two_sided:
         mesh.count[HEIGHTS] = 1
-        if kernel.kind == PATCHES and not settled:
+        if laid:
             step_aside(kernel, mesh, aim * (error or 1.0))
     if error is None:
         mesh.hinge[0] = 1.0 - slack
-    return FirstMesh(mesh, sides, corner_of, aim, settled, expected or 0.0)
+    return FirstMesh(mesh, sides, corner_of, aim, bare, expected or 0.0)
 
 
 def heights_at(
@@ -148,17 +156,39 @@ def heights_at(
     return np.asarray(surface.value(user[:, 0], user[:, 1]))
 
 
-def expected_triangles(kernel: KernelField, sides: Sides, frame: Frame, tol: float) -> float:
+def coarse_mesh(sides: Sides, frame: Frame) -> Coarse:
+    """What lattices are to fill, in as few triangles as there can be."""
+    local = _localised(_handed(sides, frame), frame)
+    chains = _Chains(np.empty((0, 2)), local.lines.edges, np.empty(0, np.int64))
+    points, edges, walls = _outline(_corners_only(local), local, chains)
+    return Coarse(points, constrained_delaunay(points, edges, walls))
+
+
+def expected_triangles(kernel: KernelField, coarse: Coarse, tol: float) -> float:
     """About how many triangles a lattice over a smooth field has, for a tolerance in units of z.
 
     Raises InputError where they are more than memory is meant to hold.
     """
-    return _expected(kernel, _localised(_handed(sides, frame), frame), tol)
+    expected = lattice_size(kernel, *coarse, tol, _floor(coarse.points))
+    if expected > _MOST:
+        raise InputError(
+            f"The tolerance asks for about {expected:.1e} triangles: raise it, or mesh the domain "
+            "in parts."
+        )
+    return expected
 
 
-def curvature_over(kernel: KernelField, sides: Sides, frame: Frame) -> float:
-    """How much a smooth field's metric is curved (see ``metric.total_curvature``)."""
-    return total_curvature(kernel, *_coarse(_localised(_handed(sides, frame), frame)))
+def corners_suffice(surface: Field, coarse: Coarse, frame: Frame, tol: float) -> bool:
+    """Whether the coarse mesh is within the tolerance."""
+    points = frame.to_user(coarse.points)
+    corners = np.column_stack([points, surface.value(*points.T)])
+    spots = corners[coarse.triangles]
+    middles = np.concatenate([spots.mean(1), *(0.5 * (spots + spots[:, [1, 2, 0]]))])
+    off = surface.value(middles[:, 0], middles[:, 1]) - middles[:, 2]
+    if not (np.abs(off) <= tol).all():  # as nearly always
+        return False
+    _, bounds = surface.errors(corners, coarse.triangles, tol)
+    return bool((bounds <= tol).all())
 
 
 def aim_for(tol: float, triangles: float) -> float:
@@ -170,26 +200,9 @@ def _slack(triangles: float) -> float:
     return min(_MOST_SLACK, _SLACK / math.sqrt(max(triangles, 1.0)))
 
 
-def _floor(local: Sides) -> float:
+def _floor(points: NDArray[np.float64]) -> float:
     """The least metric that lattices are laid in."""
-    return 1.0 / float(np.ptp(local.corners, axis=0).max()) ** 2
-
-
-def _expected(kernel: KernelField, local: Sides, tol: float) -> float:
-    expected = lattice_size(kernel, *_coarse(local), tol, _floor(local))
-    if expected > _MOST:
-        raise InputError(
-            f"The tolerance asks for about {expected:.1e} triangles: raise it, or mesh the domain "
-            "in parts."
-        )
-    return expected
-
-
-def _coarse(sides: Sides) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Points and triangles of the corners and the constraints alone."""
-    chains = _Chains(np.empty((0, 2)), sides.lines.edges, np.empty(0, np.int64))
-    points, edges, walls = _outline(_corners_only(sides), sides, chains)
-    return points, constrained_delaunay(points, edges, walls)
+    return 1.0 / float(np.ptp(points, axis=0).max()) ** 2
 
 
 def _localised(sides: Sides, frame: Frame) -> Sides:
@@ -251,19 +264,6 @@ def _outline(
     points = np.vstack([ring.points, nodes, chains.points])
     place = np.concatenate([ring.place, np.arange(len(ring.points), len(points))])
     return points, ring.edges, place[chains.walls]
-
-
-def corners_suffice(surface: Field, sides: Sides, tol: float) -> bool:
-    """Whether the domain's corners and the constraints alone make a mesh within the tolerance."""
-    points, triangles = _coarse(sides)
-    z = surface.value(points[:, 0], points[:, 1])
-    corners = np.column_stack([points, z])[triangles]
-    middles = np.concatenate([corners.mean(1), *(0.5 * (corners + corners[:, [1, 2, 0]]))])
-    off = surface.value(middles[:, 0], middles[:, 1]) - middles[:, 2]
-    if not (np.abs(off) <= tol).all():  # as nearly always
-        return False
-    _, bounds = surface.errors(np.column_stack([points, z]), triangles, tol)
-    return bool((bounds <= tol).all())
 
 
 def _handed(sides: Sides, frame: Frame) -> Sides:

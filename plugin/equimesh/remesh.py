@@ -16,7 +16,7 @@ from equimesh.drafts import best_drafts, finished
 from equimesh.errors import InputError
 from equimesh.fields import Bound, Field, Source, as_field
 from equimesh.fields.raster import Raster
-from equimesh.metric import lower_bound
+from equimesh.integrals import lower_bound
 from equimesh.optimise.effort import EFFORTS
 from equimesh.optimise.mending import repair
 from equimesh.optimise.mesh import Mesh

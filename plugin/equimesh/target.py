@@ -16,7 +16,8 @@ from equimesh.domain import DomainLike, domain_geometry
 from equimesh.errors import InputError
 from equimesh.fields import Source, as_field
 from equimesh.fields.base import Field
-from equimesh.metric import AREA_CONVEX, AREA_SADDLE, lower_bound_of
+from equimesh.integrals import lower_bound_of
+from equimesh.metric import AREA_CONVEX, AREA_SADDLE
 from equimesh.result import Result, Status
 
 __all__ = ["first_tolerance", "remesh_to_target", "smallest_tolerance"]

@@ -21,6 +21,7 @@ __all__ = ["Function"]
 
 # Share of the tolerance to which piecewise polynomials stand in for f inside the optimiser.
 _PATCH_SHARE = 1e-3
+_GRID, _FINER = 65, 9  # samples across the domain, and across two cells around an extreme
 _TIED = 1e-9  # relative difference of what is alike but for rounding
 
 
@@ -132,24 +133,39 @@ class Function:
         )
 
     def span(self, domain: shapely.Geometry) -> tuple[float, float]:
-        """Smallest and largest of samples over the domain (a 129 x 129 grid of its box)."""
-        xmin, ymin, xmax, ymax = shapely.bounds(domain)
-        grid = np.meshgrid(np.linspace(xmin, xmax, 129), np.linspace(ymin, ymax, 129))
-        x, y = (a.ravel() for a in grid)
-        inside = np.ones(len(x), bool)
-        if not domain.equals(shapely.box(xmin, ymin, xmax, ymax)):
-            inside = shapely.intersects_xy(domain, x, y)
-        corners = shapely.get_coordinates(domain)
-        z = self.value(np.append(x[inside], corners[:, 0]), np.append(y[inside], corners[:, 1]))
+        """Smallest and largest of samples over the domain: its corners and a grid of its box, which
+        is finer around the extremes."""
+        box = shapely.bounds(domain)
+        places, z = self._sampled(domain, box, _GRID, shapely.get_coordinates(domain))
+        cell = (box[2:] - box[:2]) / (_GRID - 1)
+        extremes = {int(z.argmin()), int(z.argmax())}
+        finer = [
+            self._sampled(domain, np.append(at - cell, at + cell), _FINER, at[None])[1]
+            for at in places[sorted(extremes)]
+        ]
+        every = np.concatenate([z, *finer])
+        return float(every.min()), float(every.max())
+
+    def _sampled(
+        self, domain: shapely.Geometry, box: Array, n: int, more: Array
+    ) -> tuple[Array, Array]:
+        """Those of n x n points of a box that lie in the domain, and ``more``, with f there.
+
+        Raises InputError where f is not finite.
+        """
+        grid = np.meshgrid(np.linspace(box[0], box[2], n), np.linspace(box[1], box[3], n))
+        places = np.stack([a.ravel() for a in grid], 1)
+        if not shapely.covers(domain, shapely.box(*box)):
+            places = places[shapely.intersects_xy(domain, *places.T)]
+        places = np.vstack([places, more])
+        z = self.value(*places.T)
         if not np.isfinite(z).all():
-            i = int(np.flatnonzero(~np.isfinite(z))[0])
-            px = np.append(x[inside], corners[:, 0])[i]
-            py = np.append(y[inside], corners[:, 1])[i]
+            px, py = places[np.flatnonzero(~np.isfinite(z))[0]]
             raise InputError(
                 f"The function is not finite at ({px:.6g}, {py:.6g}): "
                 "choose a domain on which it is defined."
             )
-        return float(z.min()), float(z.max())
+        return places, z
 
     def frame(self, domain: shapely.Geometry) -> Frame:
         """Along the longest side of the domain; of several that from whose start, middle and end

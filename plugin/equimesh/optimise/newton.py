@@ -27,7 +27,8 @@ from equimesh.optimise.topology import ample
 
 __all__ = ["relax_together"]
 
-_ENOUGH = 5e-3  # relative gain of a step below which the next is not worth its time
+# Relative gain of a step below which the next is not worth its time, in large meshes and small.
+_ENOUGH, _ENOUGH_ALONE = 1e-2, 2e-2
 _REACH = 0.4  # how far a vertex may go in one step, in sizes of its star
 # Share of the diagonal that is added to it at first, and how that changes when a step fails or not:
 # of what a failed step costs two good ones can be made.
@@ -257,6 +258,7 @@ def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> i
     The errors that the mesh has stored must be those of its vertices.
     """
     steps, damping = _Steps(field, mesh, tol), _DAMPING
+    enough = _ENOUGH_ALONE if steps.triangles <= ALONE else _ENOUGH
     for done in range(rounds):
         steps.system.assemble(field, mesh, tol)
         now = math.inf
@@ -270,7 +272,7 @@ def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> i
             steps.moved()
             return done
         damping = max(_EASIER * damping, 1e-6)
-        if steps.energy - now < _ENOUGH * steps.energy:
+        if steps.energy - now < enough * steps.energy:
             return done + 1
         steps.kept(now)
     return rounds
