@@ -17,6 +17,7 @@ from equimesh.optimise.mesh import (
     FIXED,
     FREE,
     HARD,
+    HARDER,
     HARDEST,
     MANNER,
     MODEL,
@@ -29,7 +30,7 @@ from equimesh.optimise.sweep import lift_all
 from equimesh.optimise.system import System, prices
 from equimesh.triangulation import constrained_delaunay
 
-POWERS = {"soft": SOFT, "firm": FIRM, "hard": HARD, "hardest": HARDEST}
+POWERS = {"soft": SOFT, "firm": FIRM, "hard": HARD, "harder": HARDER, "hardest": HARDEST}
 SQUARE = shapely.box(-1, -1, 1, 1)
 SEEDS = st.integers(0, 2**32 - 1)
 FIELDS = {

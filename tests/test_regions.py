@@ -5,7 +5,7 @@ import pytest
 from surfaces import FRANKE
 
 import equimesh
-from equimesh.optimise import anneal, driver, regions
+from equimesh.optimise import anneal, driver, regions, tighten
 from equimesh.optimise.effort import EFFORTS
 from equimesh.optimise.energy import worst_errors
 from equimesh.optimise.mesh import FREE, VERTICES, build, copied, restore
@@ -51,11 +51,11 @@ def test_one_large_error_is_seen_three_rings_away_and_no_farther():
 
 def test_what_a_mesh_will_need_counts_violations_by_their_size():
     mesh = grid()
-    assert regions._expected(mesh) == 800
+    assert regions.expected(mesh) == 800
     mesh.ie[0] = 1.01
-    few = regions._expected(mesh)
+    few = regions.expected(mesh)
     mesh.ie[0] = 1.5
-    assert 800 < few < regions._expected(mesh) <= 801
+    assert 800 < few < regions.expected(mesh) <= 801
 
 
 def test_a_copy_brings_a_mesh_back():
@@ -75,10 +75,10 @@ def test_rounds_leave_a_mesh_that_promises_fewer_triangles(monkeypatch):
     def watched(field, mesh, tol, error, queue, visits, rounds, presses, goal, report):
         driver.evaluate_all(field, mesh, tol)
         regions.press(field, mesh, tol, presses)
-        promises.append(regions._expected(mesh))
+        promises.append(regions.expected(mesh))
         even_out(field, mesh, tol, error, queue, visits, rounds, presses, 0.0, report)
         driver.evaluate_all(field, mesh, tol)
-        promises.append(regions._expected(mesh))
+        promises.append(regions.expected(mesh))
         assert (mesh.share == 1.0).all()
 
     even_out = driver.even_out
@@ -126,15 +126,17 @@ def test_what_curvature_costs_falls_with_the_root_of_the_number():
     assert result.status.ok
     least = result.lower_bound
     assert least > 19_000
-    assert len(result.triangles) <= least + 4.0 * least**0.5
+    assert len(result.triangles) <= least + 3.5 * least**0.5
 
 
-def test_the_highest_power_brings_the_largest_errors_of_a_wide_mesh_to_the_others(monkeypatch):
-    """Closer than as many rounds at the lower power do."""
+def test_the_highest_powers_bring_the_largest_errors_of_a_wide_mesh_to_the_others(monkeypatch):
+    """Closer than as many rounds at the lower powers do, when it is near its end."""
     spreads = []
 
     def watched(field, mesh, tol, rounds):
-        for trial_rounds in ((sum(rounds), 0), rounds):
+        spreads.clear()
+        few, more, most = rounds
+        for trial_rounds in ((few + more + most, 0, 0), (few, more + most, 0), rounds):
             trial = copied(mesh)
             press(field, trial, tol, trial_rounds)
             errors = worst_errors(trial)[trial.tv[:, 0] >= 0]
@@ -142,7 +144,7 @@ def test_the_highest_power_brings_the_largest_errors_of_a_wide_mesh_to_the_other
         press(field, mesh, tol, rounds)
 
     press = anneal.press
-    monkeypatch.setattr(driver, "press", watched)
+    monkeypatch.setattr(tighten, "press", watched)
     assert equimesh.remesh(FRANKE, 3e-4, (0, 0, 1, 1)).status.ok
-    for lower, higher in zip(spreads[1::2], spreads[::2], strict=True):
-        assert lower < 0.8 * higher
+    low, middle, high = spreads
+    assert high < 0.9 * middle < 0.8 * low

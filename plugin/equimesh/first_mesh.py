@@ -107,7 +107,9 @@ def first_mesh(
         corner = np.where(nodes.corner, nodes.side, -1)
         ring = _merged(nodes.points, nodes.following, nodes.side, corner)
         chains = _equidistributed(kernel, local, height, floor)
-        relieved = kernel if error is None else kernel.relieved(relief(error, two_sided))
+        relieved = kernel
+        if error is not None:
+            relieved = kernel.relieved(relief(error, two_sided, expected))
         inner = lattice_points(
             relieved, local, nodes, (reached if error is None else error) * aim, floor,
             int(expected) + 10,

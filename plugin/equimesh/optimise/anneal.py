@@ -22,6 +22,7 @@ from equimesh.optimise.mesh import (
     FIRM,
     FREE,
     HARD,
+    HARDER,
     HARDEST,
     HEIGHTS,
     LOG_T,
@@ -30,9 +31,11 @@ from equimesh.optimise.mesh import (
     SLIDES,
     SOFT,
     TRIANGLES,
+    WIDE,
     Mesh,
     is_wide,
     movable,
+    triangles_in,
 )
 from equimesh.optimise.newton import relax_together
 from equimesh.optimise.parts import in_parts
@@ -66,8 +69,8 @@ _LASTING = 1e-2  # flips for each triangle below which steps of all vertices no 
 _PATIENCE = 20  # rounds of steps and flips, at most
 _LAST = 0.97  # the least error to anneal for in the end
 # Where a surface is convex or concave one crystal fills it, with hardly a dislocation: its errors
-# may be this large while others are still annealed for less.
-_CRYSTAL = 0.97
+# may be this large while others are still annealed for less, in small meshes and wide.
+_CRYSTAL, _CRYSTAL_WIDE = 0.97, 0.99
 
 
 @compiled
@@ -254,18 +257,21 @@ def exchange_once(
     return in_parts(mesh, queue, candidates, work, _TRIED * visits)
 
 
-def relief(error: float, two_sided: bool) -> float:
+def relief(error: float, two_sided: bool, triangles: float) -> float:
     """How many times larger than ``error`` errors may be where the surface is convex or concave.
 
-    ``two_sided``: vertices may leave the surface; then they are all alike.
+    ``two_sided``: vertices may leave the surface; then they are all alike. ``triangles``: of the
+    mesh.
     """
-    return 1.0 if two_sided else max(1.0, _CRYSTAL / error)
+    largest = _CRYSTAL_WIDE if triangles >= WIDE else _CRYSTAL
+    return 1.0 if two_sided else max(1.0, largest / error)
 
 
 def shares(mesh: Mesh, error: float) -> NDArray[np.float64]:
     """(v,) by what errors near a vertex are multiplied in an exchange for ``error``: by less than 1
     where the surface is convex or concave there, as far as ``relief`` goes."""
-    return np.where(bowls(mesh), 1.0 / relief(error, bool(mesh.count[HEIGHTS])), 1.0)
+    most = relief(error, bool(mesh.count[HEIGHTS]), triangles_in(mesh))
+    return np.where(bowls(mesh), 1.0 / most, 1.0)
 
 
 def bowls(mesh: Mesh) -> NDArray[np.bool_]:
@@ -274,13 +280,15 @@ def bowls(mesh: Mesh) -> NDArray[np.bool_]:
     return np.asarray(xx * yy > xy * xy)
 
 
-def press(field: KernelField, mesh: Mesh, tol: float, rounds: tuple[int, int]) -> None:
+def press(field: KernelField, mesh: Mesh, tol: float, rounds: tuple[int, int, int]) -> None:
     """Lower the largest errors as far as moves and flips alone can.
 
-    In up to so many ``rounds``, and in a wide mesh in as many as the second number more at the
-    highest power, which brings the errors around dislocations close to all others.
+    In up to so many ``rounds`` at each of three powers. The second and the third, which bring the
+    errors around dislocations close to all others, are for wide meshes.
     """
-    for manner, most in ((HARD, rounds[0]), (HARDEST, rounds[1] if is_wide(mesh) else 0)):
+    for manner, most in zip((HARD, HARDER, HARDEST), rounds, strict=True):
+        if manner != HARD and not is_wide(mesh):
+            break
         mesh.count[MANNER] = manner
         for _ in range(most):
             relax_together(field, mesh, tol, _STEPS)

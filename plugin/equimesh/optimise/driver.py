@@ -10,7 +10,7 @@ import numpy as np
 
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.optimise.anneal import VISITS, anneal, exchange, press
-from equimesh.optimise.effort import AIMS, EFFORTS
+from equimesh.optimise.effort import EFFORTS
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.flips import flip_all
 from equimesh.optimise.mending import (
@@ -28,15 +28,15 @@ from equimesh.optimise.mesh import (
     MANNER,
     MODEL,
     SETTLE,
+    WIDE,
     Mesh,
     copied,
-    is_wide,
     movable,
     triangles_in,
 )
-from equimesh.optimise.nested import AIM, PRESSES, Nested, settle, tighten
+from equimesh.optimise.nested import Nested, settle
 from equimesh.optimise.regions import even_out
-from equimesh.optimise.relax import make_queue
+from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.search import search_all
 from equimesh.optimise.sweep import (
     lift_all,
@@ -48,6 +48,7 @@ from equimesh.optimise.sweep import (
     vertex_waste,
     violations,
 )
+from equimesh.optimise.tighten import tighten
 
 __all__ = [
     "Report",
@@ -63,8 +64,9 @@ Report = Callable[[float], None]
 _WORTH = 1.5
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # the aims of cycles follow a sequence that repeats none
 _FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
-_PRESSES = (4, 2)  # rounds of pressing on Hermite's errors, which are cheap
-_EVENING = (2, 1)  # and between rounds of regions, where no refinement follows
+_PRESSES = (4, 2, 2)  # rounds of pressing on Hermite's errors, which are cheap,
+_EVENING, _EVENING_FINER = (2, 1, 2), (1, 3, 0)  # and between rounds of regions
+_AIMS = (0.93, 1.0)  # errors that cycles aim at, in units of the tolerance
 _SMALL = 1_500  # triangles below which more trials of an exchange do not pay
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Hermite's formula.
@@ -116,13 +118,20 @@ def draft(
             even_out(
                 field, mesh, tol, annealed, queue,
                 how.trials if triangles_in(mesh) < _SMALL else VISITS,
-                how.evenings, PRESSES if finer else _EVENING, how.goal(least),
+                how.evenings, _EVENING_FINER if finer else _EVENING, how.goal(least),
                 lambda f: report(0.3 + 0.5 * f),
             )  # fmt: skip
             report(0.8)
         if finer:
             return mesh
         evaluate_all(field, mesh, tol)
+        if annealed is not None and WIDE <= triangles_in(mesh) <= how.tightened:
+            mesh, queue = tighten(
+                field, mesh, tol, queue, how.goal(least), lambda f: report(0.8 + 0.15 * f)
+            )  # fmt: skip
+            mesh = _closed(field, mesh, tol, queue)
+            report(0.97)
+            return _thinned(field, mesh, tol, effort, least)
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         if annealed is not None:
@@ -143,21 +152,24 @@ def finer_draft(
         if not last:
             return mesh
         queue = make_queue(len(mesh.x))
-        even_out(
-            field, mesh, tol, AIM, queue, VISITS, how.evenings, PRESSES, 0.0,
-            lambda f: report(0.4 + 0.2 * f),
-        )  # fmt: skip
-        mesh, queue = tighten(field, mesh, tol, how.aims, queue, lambda f: report(0.6 + 0.3 * f))
+        if how.thorough:
+            mesh = _closed(field, mesh, tol, queue)
+            report(0.95)
+            if violations(mesh, 1.0)[0] == 0:
+                _remove(field, mesh, tol, 1, VISITS, lambda f: report(0.95 + 0.05 * f))
+            return mesh
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
-        if how.thorough:
-            spread(field, mesh, tol, queue, SPREADING)
-        report(0.9)
-        mesh = lower_errors(field, mesh, tol, queue)
-        report(0.95)
-        if how.thorough and violations(mesh, 1.0)[0] == 0:
-            _remove(field, mesh, tol, 1, VISITS, lambda f: report(0.95 + 0.05 * f))
-        return mesh
+        return lower_errors(field, mesh, tol, queue)
+
+
+def _closed(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Mesh:
+    """A large mesh, well pressed, made to keep the tolerance: what is violated spreads before
+    vertices are inserted."""
+    split_borders(field, mesh, tol)
+    flip_all(field, mesh, tol, 50)
+    spread(field, mesh, tol, queue, SPREADING)
+    return lower_errors(field, mesh, tol, queue)
 
 
 def cycled(
@@ -175,13 +187,11 @@ def cycled(
     for number in range(most):
         if size <= how.goal(least):
             break
-        wide = is_wide(best)
-        low, high = how.aims if wide else AIMS
-        visits = how.wide_visits if wide else how.visits
+        low, high = _AIMS
         error = low + (high - low) * math.fmod(_GOLDEN * (number + 1), 1.0)
         mesh = copied(best)
         with modelled(field, mesh):
-            exchange(field, mesh, tol, error, make_queue(len(mesh.x)), visits)
+            exchange(field, mesh, tol, error, make_queue(len(mesh.x)), how.visits)
             evaluate_all(field, mesh, tol)
             _even_strain(field, mesh, tol)
             mesh = _completed(field, mesh, tol, effort, least)
@@ -202,7 +212,7 @@ def _pressed(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> Mesh:
     if rounds == 0 or before <= _FEW * triangles_in(mesh):
         return mesh
     trial = copied(mesh)
-    press(field, trial, tol, (rounds, rounds // 2))
+    press(field, trial, tol, (rounds, rounds // 2, rounds // 2))
     return trial if violations(trial, 1.0)[0] < before else mesh
 
 
@@ -217,6 +227,11 @@ def _completed(field: KernelField, mesh: Mesh, tol: float, effort: str, least: f
     queue = make_queue(len(mesh.x))
     relax_all(field, mesh, tol, queue, 40)
     mesh = lower_errors(field, mesh, tol, queue)
+    return _thinned(field, mesh, tol, effort, least)
+
+
+def _thinned(field: KernelField, mesh: Mesh, tol: float, effort: str, least: float) -> Mesh:
+    """Without the vertices that can be spared, as far as the effort goes."""
     if violations(mesh, 1.0)[0] == 0:
         for level, how in EFFORTS.items():  # what less effort removes goes first
             last = level == effort

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 from equimesh.optimise.mesh import WIDE
 
-__all__ = ["AIMS", "EFFORTS", "Effort"]
+__all__ = ["EFFORTS", "Effort"]
 
-AIMS = (0.93, 1.0)  # errors that cycles aim at, in units of the tolerance
 _FORESEEN = 0.985  # that well are the triangles known that a mesh will have, and N*
 # What no small mesh is worth more time for: that share of N* to spare, or so many triangles for
 # each of the square root of N*, of which the best meshes spend most on their border.
@@ -27,12 +26,11 @@ class Effort:
     moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the same for the best
     of them on the true errors, which are pressed in ``presses`` rounds. In between the ``kept``
     best drafts go through up to ``cycles`` of exchange and repair, as many as ``cycled`` triangles
-    allow, the first numbers where lattices fit, for there is less to gain. In wide meshes they aim
-    at errors between the two of ``aims``, with ``wide_visits``: above 1 where these are few, since
-    not all that pays where a whole mesh gives way does so where only a neighbourhood can. A mesh of
-    ``1 + enough / sqrt(N*)`` times N* triangles gets no more of either, nor of removal, since what
-    its border costs falls like that too; of wide ones, where more can be had, the second number
-    says what is enough. Without these numbers nothing is.
+    allow, the first numbers where lattices fit, for there is less to gain. Wide meshes of up to
+    ``tightened`` triangles that must be annealed are tightened before. A mesh of
+    ``1 + enough / sqrt(N*)`` times N* triangles gets no more of all that, nor of removal, since
+    what its border costs falls like that too; of wide ones, where more can be had, the second
+    number says what is enough. Without these numbers nothing is.
     """
 
     lattices: int = 1
@@ -48,9 +46,8 @@ class Effort:
     kept: int = 1
     cycles: int = 0
     cycled: tuple[int, int] = (0, 0)
+    tightened: int = 0
     enough: tuple[float, float] | None = None
-    wide_visits: int = 0
-    aims: tuple[float, float] = AIMS
 
     def goal(self, least: float) -> float:
         """With how many triangles a mesh is good enough where the lower bound N* is ``least``."""
@@ -65,12 +62,12 @@ class Effort:
 EFFORTS = {
     "fast": Effort(rounds=1),
     "balanced": Effort(
-        evenings=6, last_rounds=1, presses=1, cycles=3, cycled=(4_000, 60_000), enough=(4.5, 3.0),
-        wide_visits=30, aims=(1.0, 1.08),
+        evenings=6, last_rounds=1, presses=1, cycles=3, cycled=(4_000, 12_000),
+        tightened=150_000, enough=(4.5, 3.0),
     ),
     "best": Effort(
         lattices=200, drafts=24, triangles=60_000, trials=60, evenings=8, rounds=20, visits=300,
         last_rounds=20, last_visits=600, presses=4, kept=8, cycles=40, cycled=(300_000, 300_000),
-        wide_visits=300,
+        tightened=300_000,
     ),
 }  # fmt: skip

@@ -5,8 +5,8 @@ and each violation costs a step besides (``SETTLE``): a convex power would trade
 violations for many slight ones and spread them over a settled interior. Where a change is tried and
 undone if it fails, that spreading is wanted, and the price is h^2 (``SPREAD``). Where nothing is
 violated and must not be, a smooth power brings slack together (``EVEN``). Powers alone bring
-crystals about: the higher (``SOFT`` 6, ``FIRM`` 24, ``HARD`` 48, ``HARDEST`` 192), the more do
-large errors count.
+crystals about: the higher (``SOFT`` 6, ``FIRM`` 24, ``HARD`` 48, ``HARDER`` 192, ``HARDEST`` 768),
+the more do large errors count.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from equimesh.optimise.mesh import (
     EVEN,
     FIRM,
     HARD,
+    HARDER,
     HARDEST,
     MANNER,
     MODEL,
@@ -68,7 +69,7 @@ ROOM = 0.98  # how far vertices may leave the surface, in units of the tolerance
 _RANGE = 2048  # triangles that a thread evaluates at a time
 _SMALL = 0.5  # units of the tolerance: whether an error is less than this matters to nobody
 _CEILING = 1e3  # beyond it, more is not worse: keeps sums finite,
-DEAREST = 1e70  # and where a power of 48 or less is raised further, beyond this
+DEAREST = 1e70  # and where a power of 48 or more is raised further, beyond this
 
 
 @compiled
@@ -84,10 +85,11 @@ def penalty(m, e):
             power *= power
         if m.count[MANNER] >= HARD:
             power *= power
-        if m.count[MANNER] == HARDEST:
-            power = min(power, DEAREST)
-            power *= power
-            power *= power
+        for manner in (HARDER, HARDEST):
+            if m.count[MANNER] >= manner:
+                power = min(power, DEAREST)
+                power *= power
+                power *= power
         return power
     if m.count[MANNER] == EVEN:
         return e2 * e2 + (100.0 if e > 1.0 else 0.0)

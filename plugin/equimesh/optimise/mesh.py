@@ -38,7 +38,7 @@ FREE, SLIDES, FIXED, GONE = 0, 1, 2, -1
 HELD = 4  # on top of the kind of a vertex that stays where it is while a mesh is in parts,
 SEAM = 2  # and on that of an edge that stays between them
 # How errors are priced (``energy.penalty``).
-SETTLE, SPREAD, EVEN, SOFT, FIRM, HARD, HARDEST = range(7)
+SETTLE, SPREAD, EVEN, SOFT, FIRM, HARD, HARDER, HARDEST = range(8)
 
 # Positions in Mesh.count.
 (

@@ -14,16 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimesh.fields.kernel import KernelField
-from equimesh.optimise.anneal import VISITS, exchange, exchange_once, press
+from equimesh.optimise.anneal import VISITS, exchange_once
 from equimesh.optimise.energy import evaluate_all
 from equimesh.optimise.flips import flip_all
-from equimesh.optimise.mending import SPREADING, insert_at, spread, violated
 from equimesh.optimise.mesh import FIRM, HARD, MANNER, SETTLE, SOFT, Mesh
 from equimesh.optimise.newton import relax_together
 from equimesh.optimise.regions import regional_shares
-from equimesh.optimise.relax import Queue, make_queue
+from equimesh.optimise.relax import make_queue
 
-__all__ = ["AIM", "PRESSES", "Nested", "nested_for", "settle", "tighten"]
+__all__ = ["Nested", "nested_for", "settle"]
 
 
 _EXCHANGE = -1  # a pass of vertices that come and go; other steps are manners of all vertices
@@ -35,9 +34,8 @@ class Nested:
 
     ``above``: triangles from which on that pays; ``least``: below which the smallest is not to
     fall; ``error``: what it is annealed for, in units of its tolerance; ``between``: steps after a
-    refinement that others follow; ``last``: after the last. Then come rounds in which regions get
-    their own numbers of vertices (``evenings``). ``thorough``: at last violations are spread before
-    vertices are inserted, and vertices removed; before that the mesh is tightened for ``aims``.
+    refinement that others follow; ``last``: after the last. ``thorough``: at last violations are
+    spread before vertices are inserted, and vertices removed.
     """
 
     above: float
@@ -46,8 +44,6 @@ class Nested:
     between: tuple[int, ...]
     last: tuple[int, ...]
     thorough: bool
-    evenings: int = 0
-    aims: tuple[float, ...] = ()
 
 
 _NESTED = {
@@ -57,13 +53,7 @@ _NESTED = {
     ),
     "balanced": (
         Nested(
-            48_000, 12_000, 1.0,
-            (SOFT, SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
-            (FIRM, _EXCHANGE, HARD),
-            thorough=True, evenings=1, aims=(1.06, 1.03, 1.0),
-        ),
-        Nested(
-            200_000, 4_000, 0.98,
+            120_000, 4_000, 0.96,
             (SOFT, SOFT, HARD, _EXCHANGE, HARD, _EXCHANGE, HARD, HARD, HARD),
             (SOFT, HARD, _EXCHANGE, HARD, HARD, HARD),
             thorough=True,
@@ -72,8 +62,7 @@ _NESTED = {
     "best": (),
 }  # fmt: skip
 _STEPS = 4  # of all vertices before edges flip
-AIM = 0.98  # what vertices are exchanged for
-PRESSES = (1, 3)  # rounds of pressing at either power: the mesh is near its end
+_AIM = 0.98  # what vertices are exchanged for
 _OFF = 1.5  # triangles too few or too many around a vertex that make an exchange worth a trial
 
 
@@ -109,36 +98,8 @@ def _exchange(field: KernelField, mesh: Mesh, tol: float) -> None:
     """Vertices to regions with large errors, and to dislocations, from where they are too many."""
     mesh.share[:] = regional_shares(mesh, mesh.share)
     mesh.count[MANNER] = SOFT
-    evaluate_all(field, mesh, AIM * tol)
+    evaluate_all(field, mesh, _AIM * tol)
     queue, stamp = make_queue(len(mesh.x)), np.zeros(len(mesh.x), np.int64)
-    exchange_once(field, mesh, AIM * tol, queue, VISITS, stamp, 1, _OFF)
+    exchange_once(field, mesh, _AIM * tol, queue, VISITS, stamp, 1, _OFF)
     mesh.share[:] = 1.0
     evaluate_all(field, mesh, tol)
-
-
-def tighten(
-    field: KernelField,
-    mesh: Mesh,
-    tol: float,
-    aims: tuple[float, ...],
-    queue: Queue,
-    report: Callable[[float], None],
-) -> tuple[Mesh, Queue]:
-    """Vertices to dislocations that lack them, then from wherever slack comes together, in turn.
-
-    A mesh all of whose errors are near the tolerance has its largest at dislocations, where no
-    exchange that must pay at once, and no pressing, brings them down. Vertices inserted there do,
-    and make slack that vertices pay for which go elsewhere. The ``aims``, errors in units of
-    ``tol``, fall: what goes at first must not be missed in the end.
-
-    Returns the mesh (enlarged where it had to be) and a queue for it. The mesh has Hermite's
-    errors.
-    """
-    for number, error in enumerate(aims, 1):
-        spread(field, mesh, tol, queue, SPREADING)
-        mesh, queue, _ = insert_at(field, mesh, tol, queue, violated(mesh))
-        exchange(field, mesh, tol, error, queue, VISITS, HARD)
-        evaluate_all(field, mesh, tol)
-        press(field, mesh, tol, PRESSES)
-        report(number / len(aims))
-    return mesh, queue

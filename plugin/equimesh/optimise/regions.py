@@ -21,11 +21,11 @@ from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.mesh import SOFT, Mesh, copied, is_wide, restore
 from equimesh.optimise.relax import Queue
 
-__all__ = ["even_out", "regional_shares"]
+__all__ = ["even_out", "expected", "regional_shares"]
 
 # The largest errors to be, in units of the tolerance: the second in a wide mesh, which is pressed
 # harder,
-_GOAL, _GOAL_WIDE = 0.985, 0.99
+_GOAL, _GOAL_WIDE = 0.985, 1.0
 _POWER = 48  # by a mean of this power
 _RINGS = 3  # over so many rings of triangles
 # The power by which shares change: the errors of a saddle follow at once only in part. (By this one
@@ -47,7 +47,7 @@ def even_out(
     queue: Queue,
     visits: int,
     rounds: int,
-    presses: tuple[int, int],
+    presses: tuple[int, int, int],
     goal: float,
     report: Callable[[float], None],
 ) -> None:
@@ -64,11 +64,11 @@ def even_out(
     for number in range(rounds + 1):
         evaluate_all(field, mesh, tol)
         press(field, mesh, tol, presses)
-        expected = _expected(mesh)
-        idle = not expected < (1.0 - _GAIN) * least
-        if expected < least:
+        now = expected(mesh)
+        idle = not now < (1.0 - _GAIN) * least
+        if now < least:
             restore(best, mesh)
-            least = expected
+            least = now
         if number == rounds or idle or least <= goal:
             break
         crystals = bowls(mesh) & is_wide(mesh)
@@ -91,7 +91,7 @@ def regional_shares(
     return np.clip(share * (_largest_around(mesh) / goal) ** power, _LEAST, _MOST)
 
 
-def _expected(mesh: Mesh) -> float:
+def expected(mesh: Mesh) -> float:
     """About how many triangles the mesh will have when all keep the tolerance."""
     worst = worst_errors(mesh)[mesh.tv[:, 0] >= 0]
     return float(len(worst) + _MENDING * np.clip((worst - 1.0) / _MUCH, 0.0, 1.0).sum())

@@ -21,6 +21,7 @@ from equimesh.optimise.energy import DEAREST, penalty, share_along, share_inside
 from equimesh.optimise.mesh import (
     FIXED,
     HARD,
+    HARDER,
     HARDEST,
     MANNER,
     MODEL,
@@ -79,10 +80,11 @@ def _derivatives(m, e):
         p, below = 24.0, e4 * e4 * e4 * e4 * e4 * e * e
         if m.count[MANNER] >= HARD:
             p, below = 48.0, below * below * e * e
-        if m.count[MANNER] == HARDEST:
-            below = min(below, DEAREST)
-            power = min(below * e * e, DEAREST)
-            p, below = 192.0, power * power * power * below
+        for manner in (HARDER, HARDEST):
+            if m.count[MANNER] >= manner:
+                below = min(below, DEAREST)
+                power = min(below * e * e, DEAREST)
+                p, below = 4.0 * p, power * power * power * below
     share = 1.0 / (_DEAR + below * e * e)
     return share * p * below * e, share * p * (p - 1.0) * below
 
