@@ -35,7 +35,7 @@ from equimesh.optimise.mesh import (
     triangles_in,
 )
 from equimesh.optimise.nested import Nested, settle
-from equimesh.optimise.regions import even_out
+from equimesh.optimise.regions import even_out, expected
 from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.search import search_all
 from equimesh.optimise.sweep import (
@@ -110,6 +110,7 @@ def draft(
     refined, so that single errors above the tolerance do not matter.
     """
     how = EFFORTS[effort]
+    goal = how.goal(least)
     with modelled(field, mesh):
         if annealed is not None:
             queue = make_queue(len(mesh.x))
@@ -118,17 +119,16 @@ def draft(
             even_out(
                 field, mesh, tol, annealed, queue,
                 how.trials if triangles_in(mesh) < _SMALL else VISITS,
-                how.evenings, _EVENING_FINER if finer else _EVENING, how.goal(least),
+                how.evenings, _EVENING_FINER if finer else _EVENING, goal,
                 lambda f: report(0.3 + 0.5 * f),
             )  # fmt: skip
             report(0.8)
         if finer:
             return mesh
         evaluate_all(field, mesh, tol)
-        if annealed is not None and WIDE <= triangles_in(mesh) <= how.tightened:
-            mesh, queue = tighten(
-                field, mesh, tol, queue, how.goal(least), lambda f: report(0.8 + 0.15 * f)
-            )  # fmt: skip
+        wide = WIDE <= triangles_in(mesh) <= how.tightened
+        if annealed is not None and wide and expected(mesh) > goal:
+            mesh, queue = tighten(field, mesh, tol, queue, goal, lambda f: report(0.8 + 0.15 * f))
             mesh = _closed(field, mesh, tol, queue)
             report(0.97)
             return _thinned(field, mesh, tol, effort, least)
