@@ -48,6 +48,7 @@ _FEW = 250  # triangles, most of which are near the border: annealing pays in an
 _SEAMS = 0.08  # above this share of violated triangles a lattice had better be annealed
 # Errors to anneal lattices for, in units of the tolerance; the denser the lattice, the lower.
 _ERRORS = (0.93, 0.95, 0.94)
+_COARSE = 0.95  # and those that are refined, whose own tolerance is less
 _MISSING = 0.008  # of a coarse mesh's triangles: with more its refinements are worse than new ones
 _FITTING = 4  # as many lattices cost what one that must be annealed does
 
@@ -186,9 +187,8 @@ class _Job:
         self, tol: float, coarse: float, levels: int, how: Nested, report: Report
     ) -> FirstMesh:
         """The draft for ``tol`` from one for ``coarse`` that is refined ``levels`` times."""
-        error = _ERRORS[0]
-        start = self.lattice(coarse, error)
-        mesh = draft(*self.given(start), error, _between(report, 0.0, 0.4), 0.0, finer=True)
+        start = self.lattice(coarse, _COARSE)
+        mesh = draft(*self.given(start), _COARSE, _between(report, 0.0, 0.4), 0.0, finer=True)
         start = _with(start, mesh)
         for left in range(levels - 1, -1, -1):
             aim = aim_for(tol * 4.0**left, 4 * _size(start))

@@ -48,8 +48,8 @@ class Nested:
 
 _NESTED = {
     "fast": (
-        Nested(40_000, 4_000, 0.94, (SOFT, SOFT), (SOFT, FIRM), thorough=False),
-        Nested(150_000, 4_000, 0.91, (SOFT, SOFT), (SOFT, FIRM), thorough=False),
+        Nested(40_000, 4_000, 0.92, (SOFT, SOFT), (SOFT, FIRM), thorough=False),
+        Nested(150_000, 4_000, 0.89, (SOFT, SOFT), (SOFT, FIRM), thorough=False),
     ),
     "balanced": (
         Nested(
