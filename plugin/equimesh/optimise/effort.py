@@ -36,7 +36,7 @@ class Effort:
     lattices: int = 1
     drafts: int = 1
     triangles: int = 0
-    trials: int = 30
+    trials: int = 20
     evenings: int = 0
     rounds: int = 0
     visits: int = 120
