@@ -62,7 +62,7 @@ class Effort:
 EFFORTS = {
     "fast": Effort(rounds=1),
     "balanced": Effort(
-        evenings=6, last_rounds=1, presses=1, cycles=3, cycled=(4_000, 12_000),
+        evenings=6, last_rounds=1, presses=1, cycles=5, cycled=(4_000, 12_000),
         tightened=150_000, enough=(4.5, 3.0),
     ),
     "best": Effort(
