@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.polynomial.polynomial import polyder, polyval2d
 from scipy.integrate import dblquad, quad
 
+from equimesh import integrals
 from equimesh.expression import parse
 from equimesh.fields.function import Function
 from equimesh.fields.kernel import PATCHES, KernelField
@@ -258,3 +259,15 @@ def test_the_total_curvature_is_the_integral_of_that_of_the_metric():
     expected = (bent * np.sqrt(np.abs(np.linalg.det(hessian)))).mean()
     assert expected > 0.01
     assert curvature_over_the_square(text) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("corners", [(-0.1, 0.1, 0.2), (-1.0, -0.3, 0.5)])
+def test_the_mean_density_beside_a_line_where_det_h_vanishes(corners):
+    """As by many small triangles."""
+    n = 1500
+    i, j = np.meshgrid(np.arange(n), np.arange(n))
+    p, q = (i + 1 / 3) / n, (j + 1 / 3) / n
+    inside = p + q < 1
+    d = corners[0] + p * (corners[1] - corners[0]) + q * (corners[2] - corners[0])
+    density = np.sqrt(np.abs(d)) / np.where(d > 0, CONVEX, SADDLE)
+    assert integrals._mean_beside(*corners, 1.0) == pytest.approx(density[inside].mean(), rel=2e-3)
