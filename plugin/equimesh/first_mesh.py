@@ -88,17 +88,18 @@ def first_mesh(
     ``expected``: what ``expected_triangles`` says, where it was asked already. ``bare``: the
     corners suffice, and no lattice is laid; nor is one on data.
     """
+    laid = kernel.kind == PATCHES and not bare
+    if laid and expected is None:
+        expected = expected_triangles(kernel, coarse_mesh(sides, frame), tol)
     sides = _handed(sides, frame)
     local = _localised(sides, frame)
     ring = _corners_only(local)
     chains = _Chains(np.empty((0, 2)), sides.lines.edges, np.empty(0, np.int64))
     inner = np.empty((0, 2))
     slack, aim = _MOST_SLACK, tol * (1.0 - _DATA_MARGIN)
-    laid = kernel.kind == PATCHES and not bare
     if laid:
+        assert expected is not None
         floor = _floor(local.corners)
-        if expected is None:
-            expected = expected_triangles(kernel, coarse_mesh(sides, frame), tol)
         slack = _slack(expected) * _SLACKS[turn % len(_SLACKS)]
         reached = 1.0 - 1.2 * slack
         aim = tol * (1.0 - _MARGIN * slack)

@@ -285,15 +285,13 @@ def _sum_bent(frame, child, coef, points, triangles, n):
     """Integral of ``_bent`` by the centres of n^2 parts of each triangle."""
     total = 0.0
     for t in range(triangles.shape[0]):
-        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        ux, uy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-        vx, vy = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+        ax, ay, ux, uy, vx, vy = _spanned(points, triangles, t)
         area = (ux * vy - uy * vx) / (2.0 * n * n)
         for i in range(n):
             for j in range(n - i):
                 for half in range(1 if i + j == n - 1 else 2):
                     p, q = (i + (1 + half) / 3.0) / n, (j + (1 + half) / 3.0) / n
-                    x, y = points[a, 0] + p * ux + q * vx, points[a, 1] + p * uy + q * vy
+                    x, y = ax + p * ux + q * vx, ay + p * uy + q * vy
                     total += area * _bent(frame, child, coef, x, y)
     return total
 

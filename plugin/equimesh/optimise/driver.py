@@ -130,7 +130,7 @@ def draft(
         wide = WIDE <= triangles_in(mesh) <= how.tightened
         if annealed is not None and wide and expected(mesh) > goal:
             mesh, queue = tighten(field, mesh, tol, queue, goal, lambda f: report(0.8 + 0.15 * f))
-            mesh = _closed(field, mesh, tol, queue)
+            mesh = _closed(field, mesh, tol, queue, True)
             report(0.97)
             return _thinned(field, mesh, tol, effort, least)
         split_borders(field, mesh, tol)
@@ -152,24 +152,20 @@ def finer_draft(
         settle(field, mesh, tol, how.last if last else how.between, lambda f: report(0.4 * f))
         if not last:
             return mesh
-        queue = make_queue(len(mesh.x))
-        if how.thorough:
-            mesh = _closed(field, mesh, tol, queue)
-            report(0.95)
-            if violations(mesh, 1.0)[0] == 0:
-                _remove(field, mesh, tol, 1, VISITS, lambda f: report(0.95 + 0.05 * f))
-            return mesh
-        split_borders(field, mesh, tol)
-        flip_all(field, mesh, tol, 50)
-        return lower_errors(field, mesh, tol, queue)
+        mesh = _closed(field, mesh, tol, make_queue(len(mesh.x)), how.thorough)
+        report(0.95)
+        if how.thorough and violations(mesh, 1.0)[0] == 0:
+            _remove(field, mesh, tol, 1, VISITS, lambda f: report(0.95 + 0.05 * f))
+        return mesh
 
 
-def _closed(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Mesh:
-    """A large mesh, well pressed, made to keep the tolerance: what is violated spreads before
-    vertices are inserted."""
+def _closed(field: KernelField, mesh: Mesh, tol: float, queue: Queue, spreading: bool) -> Mesh:
+    """A large mesh, well pressed, made to keep the tolerance. ``spreading``: what is violated
+    spreads before vertices are inserted."""
     split_borders(field, mesh, tol)
     flip_all(field, mesh, tol, 50)
-    spread(field, mesh, tol, queue, SPREADING)
+    if spreading:
+        spread(field, mesh, tol, queue, SPREADING)
     return lower_errors(field, mesh, tol, queue)
 
 
