@@ -11,7 +11,7 @@ from surfaces import FRANKE
 
 import equimesh
 from equimesh.fields.workers import apart
-from equimesh.optimise import parts, sweep
+from equimesh.optimise import parts, sweep, trials
 from equimesh.optimise.flips import flip_all
 from equimesh.optimise.insertion import split_edge
 from equimesh.optimise.mesh import FREE, GONE, HELD, SEAM
@@ -97,7 +97,7 @@ def changed(name, seed, threads, halved=(100, 400)):
         sweep.relax_everything(field, mesh, TOL, queue, 4)
         before = len(vertices_of(mesh))
         listed = np.flatnonzero(mesh.kind == FREE)
-        removed = sweep.removal_round(field, mesh, TOL, queue, listed, 60, 30.0, stamp, 1)
+        removed = trials.removal_round(field, mesh, TOL, queue, listed, 60, 30.0, stamp, 1)
         assert len(vertices_of(mesh)) == before - removed
         sweep.relax_all(field, mesh, TOL, queue, 12)
     return mesh, removed

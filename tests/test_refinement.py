@@ -11,9 +11,10 @@ from equimesh.constraints import with_constraints
 from equimesh.domain import domain_geometry, sides_of
 from equimesh.fields import as_field
 from equimesh.first_mesh import first_mesh
-from equimesh.optimise import driver, regions
+from equimesh.optimise import driver, mending, regions
 from equimesh.optimise.energy import evaluate_all, worst_errors
-from equimesh.optimise.mesh import FREE, SLIDES
+from equimesh.optimise.mesh import FREE, SLIDES, copied, triangles_in
+from equimesh.optimise.relax import make_queue
 from equimesh.optimise.sweep import violations
 from equimesh.outcome import border_of, user_mesh, walls_of
 from equimesh.profile import profile_again, profile_of
@@ -155,6 +156,26 @@ def test_tightening_takes_fewer_triangles_than_mending_and_leaves_few_violations
     assert after < promised
     assert left < 0.1 * over
     assert len(result.triangles) <= 1.001 * after
+
+
+def test_violations_that_are_mended_closely_take_a_vertex_each_at_most(monkeypatch):
+    seen = []
+
+    def watched(field, mesh, tol, queue, closely):
+        size, over = triangles_in(mesh), int(violations(mesh, 1.0)[0])
+        trial = copied(mesh)
+        simply = mending.lower_errors(field, trial, tol, make_queue(len(trial.x)), closely=False)
+        mesh = mending.lower_errors(field, mesh, tol, queue, closely)
+        assert int(violations(mesh, 1.0)[0]) == int(violations(simply, 1.0)[0]) == 0
+        seen.append((over, triangles_in(simply) - size, triangles_in(mesh) - size))
+        return mesh
+
+    monkeypatch.setattr(driver, "lower_errors", watched)
+    assert equimesh.remesh(FRANKE, 3.913e-4 * 5000 / 20_000, UNIT).status.ok
+    ((over, simply, closely),) = seen
+    assert over > 0
+    assert closely <= 2 * over  # a vertex makes two triangles
+    assert closely < 0.8 * simply
 
 
 def test_flat_metrics_need_no_refinement(monkeypatch):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from equimesh.fields.compiled import compiled, inlined
 from equimesh.fields.kernel import KernelField
-from equimesh.optimise.energy import evaluate_all, penalty, worst_of
+from equimesh.optimise.energy import evaluate_all, penalty, worst_around
 from equimesh.optimise.flips import flip_all
 from equimesh.optimise.mesh import (
     EPOCH,
@@ -39,14 +39,14 @@ from equimesh.optimise.mesh import (
 )
 from equimesh.optimise.newton import relax_together
 from equimesh.optimise.parts import in_parts
-from equimesh.optimise.relax import Queue, clear, push, relax
+from equimesh.optimise.relax import Queue, clear, push, push_star, relax
 from equimesh.optimise.removal import remove_vertex
 from equimesh.optimise.sweep import (
     relax_everything,
     split_at_worst,
     vertex_waste,
 )
-from equimesh.optimise.topology import begin, commit, rollback, room_left, star
+from equimesh.optimise.topology import begin, commit, rollback, room_left
 
 __all__ = [
     "VISITS", "anneal", "bowls", "exchange", "exchange_all", "exchange_once", "press", "relief",
@@ -96,26 +96,6 @@ def _energy_change(m):
     return total
 
 
-@compiled
-def _push_star(m, q, v):
-    """The neighbours of v into the queue; returns whether v is an inner vertex."""
-    n, closed = star(m, v)
-    for j in range(n if closed else n + 1):
-        push(q, m.ring[0, j])
-    return closed
-
-
-@compiled
-def _worst_around(m, v):
-    """The triangle of v's star with the largest error."""
-    n, _ = star(m, v)
-    worst = m.ring[1, 0]
-    for j in range(1, n):
-        if worst_of(m, m.ring[1, j]) > worst_of(m, worst):
-            worst = m.ring[1, j]
-    return worst
-
-
 @inlined
 def _pays(F, m, tol, q, visits, price, triangles):
     """Whether the neighbourhood, relaxed, has less energy than that of what the change saves.
@@ -149,17 +129,17 @@ def _exchange(F, m, tol, q, candidates, waste, visits, stamp, number, price):
         begin(m)
         clear(q)
         if waste[i] > 0.0:
-            triangles = -2 if _push_star(m, q, v) else -1
+            triangles = -2 if push_star(m, q, v) else -1
             if remove_vertex(F, m, tol, v, 1e30) < 0.0:
                 rollback(m)
                 continue
         else:
-            v = split_at_worst(F, m, tol, _worst_around(m, v))
+            v = split_at_worst(F, m, tol, worst_around(m, v))
             if v < 0:
                 rollback(m)
                 continue
             push(q, v)
-            triangles = 2 if _push_star(m, q, v) else 1
+            triangles = 2 if push_star(m, q, v) else 1
         if _pays(F, m, tol, q, visits, price, triangles):
             for j in range(m.count[LOG_T]):
                 t = m.log_ti[j, 0]

@@ -14,7 +14,6 @@ from equimesh.optimise.effort import EFFORTS
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.flips import flip_all
 from equimesh.optimise.mending import (
-    SPREADING,
     STRAINED,
     insert_greedily,
     lower_errors,
@@ -31,6 +30,7 @@ from equimesh.optimise.mesh import (
     WIDE,
     Mesh,
     copied,
+    is_wide,
     movable,
     triangles_in,
 )
@@ -42,13 +42,13 @@ from equimesh.optimise.sweep import (
     lift_all,
     relax_all,
     relax_everything,
-    removal_round,
     split_borders,
     thin_out,
     vertex_waste,
     violations,
 )
 from equimesh.optimise.tighten import tighten
+from equimesh.optimise.trials import removal_round
 
 __all__ = [
     "Report",
@@ -66,6 +66,7 @@ _WORTH, _WORTH_ONCE = 1.5, 1.9
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # the aims of cycles follow a sequence that repeats none
 _FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
 _PRESSES = (4, 2, 2)  # rounds of pressing on Hermite's errors, which are cheap,
+_AGAIN = (1, 1, 1)  # of a wide mesh that was pressed as hard just now,
 _EVENING, _EVENING_FINER = (2, 1, 2), (1, 3, 0)  # and between rounds of regions
 _AIMS = (0.93, 1.0)  # errors that cycles aim at, in units of the tolerance
 _SMALL = 1_500  # triangles below which more trials of an exchange do not pay
@@ -111,7 +112,7 @@ def draft(
     refined, so that single errors above the tolerance do not matter.
     """
     how = EFFORTS[effort]
-    goal = how.goal(least)
+    goal = how.promise(least)
     with modelled(field, mesh):
         if annealed is not None:
             queue = make_queue(len(mesh.x))
@@ -136,7 +137,9 @@ def draft(
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         if annealed is not None:
-            _even_strain(field, mesh, tol)
+            again = how.evenings > 0 and is_wide(mesh)
+            press(field, mesh, tol, _AGAIN if again else _PRESSES)
+            spread(field, mesh, tol, make_queue(len(mesh.x)), STRAINED)
             report(0.9)
         return _completed(field, mesh, tol, effort, least)
 
@@ -159,14 +162,11 @@ def finer_draft(
         return mesh
 
 
-def _closed(field: KernelField, mesh: Mesh, tol: float, queue: Queue, spreading: bool) -> Mesh:
-    """A large mesh, well pressed, made to keep the tolerance. ``spreading``: what is violated
-    spreads before vertices are inserted."""
+def _closed(field: KernelField, mesh: Mesh, tol: float, queue: Queue, closely: bool) -> Mesh:
+    """A large mesh, well pressed, made to keep the tolerance; ``closely``: see ``lower_errors``."""
     split_borders(field, mesh, tol)
     flip_all(field, mesh, tol, 50)
-    if spreading:
-        spread(field, mesh, tol, queue, SPREADING)
-    return lower_errors(field, mesh, tol, queue)
+    return lower_errors(field, mesh, tol, queue, closely)
 
 
 def cycled(
@@ -190,7 +190,8 @@ def cycled(
         with modelled(field, mesh):
             exchange(field, mesh, tol, error, make_queue(len(mesh.x)), how.visits)
             evaluate_all(field, mesh, tol)
-            _even_strain(field, mesh, tol)
+            press(field, mesh, tol, _PRESSES)
+            spread(field, mesh, tol, make_queue(len(mesh.x)), STRAINED)
             mesh = _completed(field, mesh, tol, effort, least)
             good = violations(mesh, 1.0)[0] == 0
         idle += 1
@@ -211,12 +212,6 @@ def _pressed(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> Mesh:
     trial = copied(mesh)
     press(field, trial, tol, (rounds, rounds // 2, rounds // 2))
     return trial if violations(trial, 1.0)[0] < before else mesh
-
-
-def _even_strain(field: KernelField, mesh: Mesh, tol: float) -> None:
-    """Press and relax where strain may spread: in a mesh that is no settled lattice."""
-    press(field, mesh, tol, _PRESSES)
-    spread(field, mesh, tol, make_queue(len(mesh.x)), STRAINED)
 
 
 def _completed(field: KernelField, mesh: Mesh, tol: float, effort: str, least: float) -> Mesh:

@@ -49,14 +49,21 @@ class Effort:
     tightened: int = 0
     enough: tuple[float, float] | None = None
 
-    def goal(self, least: float) -> float:
-        """With how many triangles a mesh is good enough where the lower bound N* is ``least``."""
+    def goal(self, least: float, foreseen: float = 1.0) -> float:
+        """With how many triangles a mesh is good enough where the lower bound N* is ``least``.
+
+        ``foreseen``: how well they are known.
+        """
         if self.enough is None:
             return 0.0  # N* is a limit, below which small meshes may be
         border = math.sqrt(least)
         few = least + max(_SPARE * least, _BORDER * border)
         enough = self.enough[least >= WIDE]
-        return min(_FORESEEN * (least + enough * border), few)
+        return min(foreseen * (least + enough * border), few)
+
+    def promise(self, least: float) -> float:
+        """The same for triangles that are but expected."""
+        return self.goal(least, _FORESEEN)
 
 
 EFFORTS = {

@@ -46,7 +46,7 @@ from equimesh.optimise.model import (
     smooth_edge,
     smooth_inside,
 )
-from equimesh.optimise.topology import note_triangle
+from equimesh.optimise.topology import note_triangle, star
 
 __all__ = [
     "DEAREST",
@@ -61,6 +61,7 @@ __all__ = [
     "set_jet",
     "share_along",
     "share_inside",
+    "worst_around",
     "worst_errors",
     "worst_of",
 ]
@@ -242,6 +243,17 @@ def evaluate_all(
 def worst_of(m, t):
     """Largest error of triangle t."""
     return max(abs(m.ee[t, 0]), abs(m.ee[t, 1]), abs(m.ee[t, 2]), abs(m.ie[t]))
+
+
+@compiled
+def worst_around(m, v):
+    """The triangle of v's star with the largest error."""
+    n, _ = star(m, v)
+    worst = m.ring[1, 0]
+    for j in range(1, n):
+        if worst_of(m, m.ring[1, j]) > worst_of(m, worst):
+            worst = m.ring[1, j]
+    return worst
 
 
 @compiled

@@ -11,9 +11,10 @@ from equimesh.optimise.greedy import refine
 from equimesh.optimise.mesh import MANNER, SETTLE, SPREAD, Mesh, enlarged, is_wide, triangles_in
 from equimesh.optimise.relax import Queue, make_queue
 from equimesh.optimise.sweep import insert_round, relax_all, split_listed
+from equimesh.optimise.trials import mending_round
 
 __all__ = [
-    "SPREADING",
+    "FEW",
     "STRAINED",
     "insert_at",
     "insert_greedily",
@@ -24,7 +25,7 @@ __all__ = [
     "violated",
 ]
 
-SPREADING = 8  # moves of each vertex that violations of a large mesh are spread by
+FEW = 0.01  # of the triangles: no more violations are mended place by place
 STRAINED = 16  # moves of each vertex that strain is evened out by
 _INSERTIONS = 39  # rounds of insertion at most
 _BESIDE = 1.03  # by which more, for those beside them may be underestimated as well
@@ -57,14 +58,8 @@ def repair(
 
 
 def mended(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Mesh:
-    """The mesh with its few violations of true errors moved away, or vertices inserted there.
-
-    In a wide mesh, whose errors are all near the tolerance, a vertex inserted at once would push
-    its neighbours above it.
-    """
+    """The mesh with its few violations of true errors moved away, or vertices inserted there."""
     relax_all(field, mesh, tol, queue, 40)
-    if is_wide(mesh):
-        spread(field, mesh, tol, queue, STRAINED)
     return lower_errors(field, mesh, tol, queue)
 
 
@@ -75,16 +70,23 @@ def spread(field: KernelField, mesh: Mesh, tol: float, queue: Queue, moves: int)
     mesh.count[MANNER] = SETTLE
 
 
-def lower_errors(field: KernelField, mesh: Mesh, tol: float, queue: Queue) -> Mesh:
-    """Insert vertices, a few far apart at a time, until no error exceeds ``tol``.
+def lower_errors(
+    field: KernelField, mesh: Mesh, tol: float, queue: Queue, closely: bool = True
+) -> Mesh:
+    """Insert vertices until no error exceeds ``tol``.
 
-    Flips may push each new vertex aside again: then greedy insertion must break the circle. In a
-    wide mesh, whose errors are all near the tolerance, that would push the neighbours above it one
-    after another, so what is violated spreads before.
+    ``closely``: a few violations are mended place by place, for where all errors are near the
+    tolerance each vertex simply inserted pushes its neighbours above it. Many, and what is left, get
+    vertices a few far apart at a time. Flips may push each new vertex aside again: then greedy
+    insertion must break the circle, in a wide mesh after what is violated has spread.
     """
     fewest, stalled = len(mesh.tv), 0
+    closely = closely and field.kind == PATCHES
     for _ in range(_INSERTIONS):
         order = violated(mesh)
+        if closely and 0 < len(order) <= FEW * triangles_in(mesh):
+            mending_round(field, mesh, tol, queue, order)
+            order = violated(mesh)
         if len(order) == 0:
             return mesh
         stalled = 0 if len(order) < fewest else stalled + 1

@@ -34,8 +34,8 @@ class Nested:
 
     ``above``: triangles from which on that pays; ``least``: below which the smallest is not to
     fall; ``error``: what it is annealed for, in units of its tolerance; ``between``: steps after a
-    refinement that others follow; ``last``: after the last. ``thorough``: at last violations are
-    spread before vertices are inserted, and vertices removed.
+    refinement that others follow; ``last``: after the last. ``thorough``: at last what is
+    violated is mended closely, and vertices are removed.
     """
 
     above: float

@@ -35,7 +35,7 @@ _REACH = 0.4  # how far a vertex may go in one step, in sizes of its star
 _DAMPING, _HARDER, _EASIER = 0.04, 4.0, 0.7
 # Of the square of the residual, where conjugate gradients end: in large meshes strain comes from
 # afar, in small ones steps that are found more closely take twice as long and lead to none better.
-_LEFT, _LEFT_ALONE = 1e-4, 0.1
+_LEFT, _LEFT_ALONE = 1e-2, 0.1
 _TRIES = 3  # of a step, each with fewer vertices that take part
 _RANGE = 4096  # vertices, or triangles, that a thread works on at a time
 

@@ -17,7 +17,8 @@ from equimesh.optimise.moves import move_vertex
 from equimesh.optimise.topology import room_left, star
 
 __all__ = [
-    "Queue", "make_queue", "push", "push_listed", "push_violated", "relax", "take", "waiting_in",
+    "Queue", "make_queue", "push", "push_listed", "push_star", "push_violated", "relax", "take",
+    "waiting_in",
 ]  # fmt: skip
 
 
@@ -97,6 +98,15 @@ def push_listed(q, vertices):
     """The vertices (n,) in their order."""
     for i in range(vertices.shape[0]):
         push(q, vertices[i])
+
+
+@compiled
+def push_star(m, q, v):
+    """The neighbours of v in their order; returns whether v is an inner vertex."""
+    n, closed = star(m, v)
+    for j in range(n if closed else n + 1):
+        push(q, m.ring[0, j])
+    return closed
 
 
 @compiled

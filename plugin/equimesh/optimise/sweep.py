@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from equimesh.fields.compiled import allocating, compiled, inlined, outlined
+from equimesh.fields.compiled import allocating, compiled, outlined
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.fields.patch_kernels import derivatives2
 from equimesh.optimise.angles import by_angle
@@ -17,11 +17,8 @@ from equimesh.optimise.insertion import split_edge, split_inside
 from equimesh.optimise.mesh import (
     FREE,
     GONE,
-    MANNER,
     SEAM,
-    SETTLE,
     SLIDES,
-    SPREAD,
     VERTICES,
     Mesh,
 )
@@ -35,15 +32,14 @@ from equimesh.optimise.relax import (
     relax,
     waiting_in,
 )
-from equimesh.optimise.removal import remove_if_clean, remove_vertex, touched_excess
-from equimesh.optimise.topology import begin, commit, rollback, room_left, star
+from equimesh.optimise.removal import remove_if_clean
+from equimesh.optimise.topology import star
 
 __all__ = [
     "insert_round",
     "lift_all",
     "relax_all",
     "relax_everything",
-    "removal_round",
     "split_at_worst",
     "split_borders",
     "split_listed",
@@ -53,12 +49,7 @@ __all__ = [
     "violations",
 ]
 
-# What repairs that succeed leave of the squared excess: at most the first times the second to the
-# power of the share of their visits that is spent (three thousand trials on five functions).
-_HOPE, _FALL = 3.0, 1e-6
-
 _OFTEN = 4  # moves of a vertex before nothing gives way any more, about
-_TRIED = 0.1  # of a repair's visits, at least, are made
 _WANDERING, _AROUND = 4_000, 100  # visits at least, and for each violated vertex, where they relax
 
 _AREA_CONVEX = 3.0 * math.sqrt(3.0) / 16.0  # of the optimal triangles in units of 8 tol
@@ -280,82 +271,3 @@ def thin_out(F, m, tol):
         if (m.kind[v] == FREE or m.kind[v] == SLIDES) and remove_if_clean(F, m, tol, v):
             removed += 1
     return removed
-
-
-@inlined
-def _repaired(F, m, tol, q, budget):
-    """Relax what is in the queue until no triangle in the journal is violated.
-
-    Here violations are to spread: only then does slack some triangles away come into play. Gives up
-    when visits no longer lower the squared excess by a tenth, when it is larger than it ever was
-    at that share of the budget before a success, or when the budget is spent.
-    """
-    excess = touched_excess(m)
-    spent = 0
-    while excess > 0.0:
-        if spent >= budget or q.state[1] == 0:
-            return False
-        spent += relax(F, m, tol, q, min(max(budget // 5, 12), 24), 40)
-        now = touched_excess(m)
-        if now > 0.9 * excess and spent > 24:
-            return False
-        if now > _HOPE * _FALL ** (spent / budget):
-            return False
-        excess = now
-    return True
-
-
-@compiled
-def _removal_round(F, m, tol, q, candidates, budget, goal, stamp, number):
-    removed = 0
-    for i in range(candidates.shape[0]):
-        v = candidates[i]
-        if (m.kind[v] != FREE and m.kind[v] != SLIDES) or not room_left(m):
-            continue
-        n, closed = star(m, v)
-        count = n if closed else n + 1
-        for j in range(count):
-            m.ring[3, j] = m.ring[0, j]
-        begin(m)
-        if remove_vertex(F, m, tol, v, goal) < 0.0:
-            rollback(m)
-            continue
-        clear(q)
-        for j in range(count):
-            push(q, m.ring[3, j])
-        m.count[MANNER] = SPREAD
-        repaired = _repaired(F, m, tol, q, budget)
-        m.count[MANNER] = SETTLE
-        if repaired:
-            for j in range(m.count[4]):
-                t = m.log_ti[j, 0]
-                if m.tv[t, 0] >= 0:
-                    for k in range(3):
-                        stamp[m.tv[t, k]] = number
-            commit(m)
-            removed += 1
-        else:
-            rollback(m)
-    return removed
-
-
-def removal_round(
-    F: KernelField,
-    m: Mesh,
-    tol: float,
-    q: Queue,
-    candidates: NDArray[np.int64],
-    budget: int,
-    goal: float,
-    stamp: NDArray[np.int64],
-    number: int,
-) -> int:
-    """Try to remove each candidate with repair; returns how many went.
-
-    Vertices around where one went get the ``stamp`` (v,) ``number``.
-    """
-
-    def work(m: Mesh, q: Queue, rows: NDArray[np.int64]) -> int:
-        return int(_removal_round(F, m, tol, q, candidates[rows], budget, goal, stamp, number))
-
-    return in_parts(m, q, candidates, work, _TRIED * budget)

@@ -39,7 +39,7 @@ _DEAR = 10.0  # powers of errors above this count by their logarithm: else one w
 _SLIGHT = 0.3  # errors inside below which their slopes do not matter
 _RANGE = 2048  # triangles that a thread works on at a time,
 _BLOCK = 8_192  # and whose slopes are kept at a time
-ALONE = _RANGE  # up to which a step is one thread's, with hardly any Python between its kernels
+ALONE = 4096  # up to which a step is one thread's: to hand out its parts would take longer
 
 
 @inlined
