@@ -76,8 +76,8 @@ def lower_errors(
     """Insert vertices until no error exceeds ``tol``.
 
     ``closely``: a few violations are mended place by place, for where all errors are near the
-    tolerance each vertex simply inserted pushes its neighbours above it. Many, and what is left, get
-    vertices a few far apart at a time. Flips may push each new vertex aside again: then greedy
+    tolerance each vertex simply inserted pushes its neighbours above it. Many, and what is left,
+    get vertices a few far apart at a time. Flips may push each new vertex aside again: then greedy
     insertion must break the circle, in a wide mesh after what is violated has spread.
     """
     fewest, stalled = len(mesh.tv), 0
