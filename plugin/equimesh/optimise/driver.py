@@ -141,7 +141,7 @@ def draft(
             press(field, mesh, tol, _AGAIN if again else _PRESSES)
             spread(field, mesh, tol, make_queue(len(mesh.x)), STRAINED)
             report(0.9)
-        return _completed(field, mesh, tol, effort, least)
+        return _completed(field, mesh, tol, effort, least, closely=annealed is not None)
 
 
 def finer_draft(
@@ -192,7 +192,7 @@ def cycled(
             evaluate_all(field, mesh, tol)
             press(field, mesh, tol, _PRESSES)
             spread(field, mesh, tol, make_queue(len(mesh.x)), STRAINED)
-            mesh = _completed(field, mesh, tol, effort, least)
+            mesh = _completed(field, mesh, tol, effort, least, closely=True)
             good = violations(mesh, 1.0)[0] == 0
         idle += 1
         if good and triangles_in(mesh) <= size:
@@ -214,11 +214,16 @@ def _pressed(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> Mesh:
     return trial if violations(trial, 1.0)[0] < before else mesh
 
 
-def _completed(field: KernelField, mesh: Mesh, tol: float, effort: str, least: float) -> Mesh:
-    """Violations mended by moves and insertions; then vertices removed that can be spared."""
+def _completed(
+    field: KernelField, mesh: Mesh, tol: float, effort: str, least: float, closely: bool
+) -> Mesh:
+    """Violations mended by moves and insertions; then vertices removed that can be spared.
+
+    ``closely``: see ``lower_errors``; along the seams of lattices one vertex mends several.
+    """
     queue = make_queue(len(mesh.x))
     relax_all(field, mesh, tol, queue, 40)
-    mesh = lower_errors(field, mesh, tol, queue)
+    mesh = lower_errors(field, mesh, tol, queue, closely)
     return _thinned(field, mesh, tol, effort, least)
 
 
