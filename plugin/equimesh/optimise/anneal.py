@@ -46,7 +46,7 @@ from equimesh.optimise.sweep import (
     split_at_worst,
     vertex_waste,
 )
-from equimesh.optimise.topology import begin, commit, rollback, room_left
+from equimesh.optimise.topology import begin, commit, rollback, room_left, stamp_touched
 
 __all__ = [
     "VISITS", "anneal", "bowls", "exchange", "exchange_all", "exchange_once", "press", "relief",
@@ -141,11 +141,7 @@ def _exchange(F, m, tol, q, candidates, waste, visits, stamp, number, price):
             push(q, v)
             triangles = 2 if push_star(m, q, v) else 1
         if _pays(F, m, tol, q, visits, price, triangles):
-            for j in range(m.count[LOG_T]):
-                t = m.log_ti[j, 0]
-                if m.tv[t, 0] >= 0:
-                    for k in range(3):
-                        stamp[m.tv[t, k]] = number
+            stamp_touched(m, stamp, number)
             commit(m)
             kept += 1
         else:

@@ -14,6 +14,7 @@ from equimesh.optimise.effort import EFFORTS
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.flips import flip_all
 from equimesh.optimise.mending import (
+    FEW,
     STRAINED,
     insert_greedily,
     lower_errors,
@@ -64,7 +65,6 @@ Report = Callable[[float], None]
 # there is but one round the second finds as many in less time.
 _WORTH, _WORTH_ONCE = 1.5, 1.9
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)  # the aims of cycles follow a sequence that repeats none
-_FEW = 0.01  # of triangles violated, which are mended one by one rather than all together
 _PRESSES = (4, 2, 2)  # rounds of pressing on Hermite's errors, which are cheap,
 _AGAIN = (1, 1, 1)  # of a wide mesh that was pressed as hard just now,
 _EVENING, _EVENING_FINER = (2, 1, 2), (1, 3, 0)  # and between rounds of regions
@@ -131,15 +131,14 @@ def draft(
         wide = WIDE <= triangles_in(mesh) <= how.tightened
         if annealed is not None and wide and expected(mesh) > goal:
             mesh, queue = tighten(field, mesh, tol, queue, goal, lambda f: report(0.8 + 0.15 * f))
-            mesh = _closed(field, mesh, tol, queue, True)
+            mesh = _closed(field, mesh, tol, queue, closely=True)
             report(0.97)
             return _thinned(field, mesh, tol, effort, least)
         split_borders(field, mesh, tol)
         flip_all(field, mesh, tol, 50)
         if annealed is not None:
             again = how.evenings > 0 and is_wide(mesh)
-            press(field, mesh, tol, _AGAIN if again else _PRESSES)
-            spread(field, mesh, tol, make_queue(len(mesh.x)), STRAINED)
+            _even_strain(field, mesh, tol, _AGAIN if again else _PRESSES)
             report(0.9)
         return _completed(field, mesh, tol, effort, least, closely=annealed is not None)
 
@@ -190,8 +189,7 @@ def cycled(
         with modelled(field, mesh):
             exchange(field, mesh, tol, error, make_queue(len(mesh.x)), how.visits)
             evaluate_all(field, mesh, tol)
-            press(field, mesh, tol, _PRESSES)
-            spread(field, mesh, tol, make_queue(len(mesh.x)), STRAINED)
+            _even_strain(field, mesh, tol, _PRESSES)
             mesh = _completed(field, mesh, tol, effort, least, closely=True)
             good = violations(mesh, 1.0)[0] == 0
         idle += 1
@@ -207,11 +205,17 @@ def cycled(
 def _pressed(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> Mesh:
     """The mesh pressed, or as it was where that trades few violations for many slight ones."""
     before = violations(mesh, 1.0)[0]
-    if rounds == 0 or before <= _FEW * triangles_in(mesh):
+    if rounds == 0 or before <= FEW * triangles_in(mesh):
         return mesh
     trial = copied(mesh)
     press(field, trial, tol, (rounds, rounds // 2, rounds // 2))
     return trial if violations(trial, 1.0)[0] < before else mesh
+
+
+def _even_strain(field: KernelField, mesh: Mesh, tol: float, presses: tuple[int, int, int]) -> None:
+    """Press and relax where strain may spread: in a mesh that is no settled lattice."""
+    press(field, mesh, tol, presses)
+    spread(field, mesh, tol, make_queue(len(mesh.x)), STRAINED)
 
 
 def _completed(

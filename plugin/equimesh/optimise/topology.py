@@ -20,7 +20,7 @@ __all__ = [
     "ample",
     "begin", "commit", "drop_triangle", "drop_vertex", "flip", "flippable", "new_triangle",
     "new_vertex", "note_triangle", "note_vertex", "positive", "redirect", "rollback", "room_left",
-    "star", "turns_by",
+    "stamp_touched", "star", "turns_by",
 ]  # fmt: skip
 
 # Twice the area of a triangle over the squares of its edges. A split may make the thinnest
@@ -113,6 +113,16 @@ def commit(m):
     for i in range(c[LOST_V]):
         m.spare_v[c[FREE_VERTICES]] = m.lost_v[i]
         c[FREE_VERTICES] += 1
+
+
+@compiled
+def stamp_touched(m, stamp, number):
+    """Give the corners of the live triangles in the journal the ``stamp`` (v,) ``number``."""
+    for i in range(m.count[LOG_T]):
+        t = m.log_ti[i, 0]
+        if m.tv[t, 0] >= 0:
+            for k in range(3):
+                stamp[m.tv[t, k]] = number
 
 
 @outlined

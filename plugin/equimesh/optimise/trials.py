@@ -14,11 +14,19 @@ from equimesh.fields.compiled import compiled, inlined
 from equimesh.fields.kernel import KernelField
 from equimesh.optimise.energy import worst_around, worst_of
 from equimesh.optimise.insertion import split_edge
-from equimesh.optimise.mesh import FREE, GONE, LOG_T, MANNER, SETTLE, SLIDES, SPREAD, Mesh
+from equimesh.optimise.mesh import FREE, GONE, MANNER, SETTLE, SLIDES, SPREAD, Mesh
 from equimesh.optimise.parts import in_parts
 from equimesh.optimise.relax import Queue, clear, push, push_star, relax
 from equimesh.optimise.removal import remove_vertex, touched_excess
-from equimesh.optimise.topology import begin, commit, note_triangle, rollback, room_left, star
+from equimesh.optimise.topology import (
+    begin,
+    commit,
+    note_triangle,
+    rollback,
+    room_left,
+    stamp_touched,
+    star,
+)
 
 __all__ = ["mending_round", "removal_round"]
 
@@ -83,11 +91,7 @@ def _removal_round(F, m, tol, q, candidates, budget, goal, stamp, number):
         for j in range(count):
             push(q, m.ring[3, j])
         if _settled(F, m, tol, q, budget):
-            for j in range(m.count[LOG_T]):
-                t = m.log_ti[j, 0]
-                if m.tv[t, 0] >= 0:
-                    for k in range(3):
-                        stamp[m.tv[t, k]] = number
+            stamp_touched(m, stamp, number)
             commit(m)
             removed += 1
     return removed
