@@ -28,6 +28,7 @@ from equimesh.optimise.model import (
 
 seeds = st.integers(0, 2**32 - 1)
 WAVES = Function("sin(5*x)*cos(4*y) + x*y").kernel(shapely.box(-1, -1, 1, 1), 1e-6)
+QUARTIC = Function("x^4 + y^4").kernel(shapely.box(-1, -1, 1, 1), 1e-6)
 BOWL = Function("2*x^2 + x*y + y^2").kernel(shapely.box(-1, -1, 1, 1), 1e-6)
 
 
@@ -283,8 +284,30 @@ def test_smooth_edges_are_so_whatever_their_size_and_sign():
 def test_triangles_across_a_change_of_sign_are_not_smooth():
     m = one_triangle(np.random.default_rng(0))
     for bends, expected in (((1, 1, 1), True), ((-1, -1, -1), True), ((1, 1, -1), False)):
-        m.jet[:3] = [[0, 0, 1, 0, bend] for bend in bends]
+        m.jet[:3] = [
+            [x, bend * y, 1, 0, bend] for x, y, bend in zip(m.x[:3], m.y[:3], bends, strict=True)
+        ]
         assert smooth_inside(m, 0, 1, 2) == expected
+
+
+@settings(max_examples=300, deadline=None)
+@given(seeds)
+@example(1302)
+def test_insides_are_smooth_only_where_nothing_vanishes_between_their_corners(seed):
+    """Across x = 0 the Hessian of x^4 + y^4 is alike at the corners and singular between them."""
+    rng = np.random.default_rng(seed)
+    m = one_triangle(rng)
+    m.x[:3], m.y[:3] = 0.1 * m.x[:3], 0.8 + 0.02 * m.y[:3]
+    laid(QUARTIC, m, np.zeros(3))
+    if not smooth_inside(m, 0, 1, 2):
+        return
+    e, x, y = model_inner(m, 0, 1, 2)
+    if e != 0.0:
+        assert e == pytest.approx(error_at(QUARTIC, m, weights_of(m, x, y)[None])[0], rel=0.05)
+        shares = np.linspace(0.025, 0.95, 38)
+        u, v = (a.ravel() for a in np.meshgrid(shares, shares))
+        sampled = np.stack([u, v, 1 - u - v], 1)[u + v < 1]
+        assert np.abs(error_at(QUARTIC, m, sampled)).max() <= 1.05 * abs(e)
 
 
 def test_a_paraboloid_needs_half_the_triangles_if_vertices_may_leave_it():

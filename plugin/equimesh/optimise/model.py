@@ -45,7 +45,8 @@ def _smooth(ga, ka, gb, kb, rise):
 
 @compiled
 def smooth_inside(m, a, b, c):
-    """Whether second derivatives at the corners are alike, and their determinants of one sign."""
+    """Whether second derivatives are alike, at the corners and as far as slopes tell between them,
+    and their determinants of one sign."""
     p, q, r = _determinant(m, a), _determinant(m, b), _determinant(m, c)
     if p < 0.0 and q < 0.0 and r < 0.0:
         return True  # a saddle's error has no peak inside
@@ -64,7 +65,13 @@ def _alike(m, a, b):
     xx, xy, yy = m.jet[a, 2] + m.jet[b, 2], m.jet[a, 3] + m.jet[b, 3], m.jet[a, 4] + m.jet[b, 4]
     dxx, dxy, dyy = m.jet[a, 2] - m.jet[b, 2], m.jet[a, 3] - m.jet[b, 3], m.jet[a, 4] - m.jet[b, 4]
     size = xx * xx + 2.0 * xy * xy + yy * yy
-    return dxx * dxx + 2.0 * dxy * dxy + dyy * dyy < _ALIKE * size
+    if not dxx * dxx + 2.0 * dxy * dxy + dyy * dyy < _ALIKE * size:
+        return False
+    # Where they vanish in between, as those of x^4 do, slopes change by less than they promise.
+    dx, dy = m.x[b] - m.x[a], m.y[b] - m.y[a]
+    ga, ka = _along(m, a, dx, dy)
+    gb, kb = _along(m, b, dx, dy)
+    return abs(ka + kb - 2.0 * (gb - ga)) < _EVEN * abs(gb - ga)
 
 
 @inlined
