@@ -83,7 +83,7 @@ def test_rounds_leave_a_mesh_that_promises_fewer_triangles(monkeypatch):
 
     even_out = driver.even_out
     monkeypatch.setattr(driver, "even_out", watched)
-    result = equimesh.remesh("sin(6*x)*sin(5*y)", 5e-4, (0, 0, 1, 1))
+    result = equimesh.remesh(FRANKE, 5e-4, (0, 0, 1, 1))
     assert result.status.ok
     assert len(promises) == 2
     assert promises[1] < promises[0]
@@ -101,7 +101,7 @@ def test_a_mesh_that_is_good_enough_gets_no_rounds(monkeypatch, tol):
     even_out = driver.even_out
     monkeypatch.setattr(driver, "even_out", watched)
     monkeypatch.setattr(regions, "exchange_all", lambda *_: made.append(1))
-    result = equimesh.remesh("sin(6*x)*sin(5*y)", tol, (0, 0, 1, 1))
+    result = equimesh.remesh(FRANKE, tol, (0, 0, 1, 1))
     assert result.status.ok
     assert len(goals) > 0
     assert len(made) == 0

@@ -30,6 +30,7 @@ from equimesh.frame import Frame
 from equimesh.integrals import total_curvature
 from equimesh.optimise.driver import (
     Report,
+    between_crystals,
     cycled,
     draft,
     finer_draft,
@@ -45,7 +46,10 @@ __all__ = ["best_drafts", "finished"]
 
 _CURVED = 1.0  # total curvature of a metric in which no lattice fits
 _FEW = 250  # triangles, most of which are near the border: annealing pays in any case
-_SEAMS = 0.08  # above this share of violated triangles a lattice had better be annealed
+# Above these shares of violated triangles a lattice had better be annealed, in a small mesh and
+# one of so many: there the seams are narrow bands between crystals that are good as they are.
+_SEAMS, _SEAMS_LARGE = 0.08, 0.2
+_LARGE = 10_000
 # Errors to anneal lattices for, in units of the tolerance; the denser the lattice, the lower.
 _ERRORS = (0.93, 0.95, 0.94)
 _COARSE = 0.95  # and those that are refined, whose own tolerance is less
@@ -74,9 +78,8 @@ def best_drafts(
         how = nested_for(effort, expected)
         if how is not None:
             levels = job.levels(tol, math.floor(math.log(expected / how.least, 4.0)))
-            coarse = tol * 4.0**levels * how.error
-            if levels > 0 and job.fitting(coarse) is None:
-                return [job.nested(tol, coarse, levels, how, report)]
+            if levels > 0 and job.fitting(tol) is None:
+                return [job.nested(tol, tol * 4.0**levels * how.error, levels, how, report)]
     return job.drafts(tol, report)
 
 
@@ -90,7 +93,8 @@ class _Job:
     frame: Frame
     effort: str
     two_sided: bool
-    sizes: dict[float, float] = dataclasses.field(default_factory=dict)  # by tolerance
+    sizes: dict[float, float] = dataclasses.field(default_factory=dict)  # by tolerance,
+    laid: dict[float, FirstMesh | None] = dataclasses.field(default_factory=dict)  # as well
 
     @cached_property
     def coarse(self) -> Coarse:
@@ -133,13 +137,19 @@ class _Job:
 
     def fitting(self, tol: float) -> FirstMesh | None:
         """The lattice if it fits, so that annealing it would not pay; or the corners if they do."""
+        if tol not in self.laid:
+            self.laid[tol] = self._fitting(tol)
+        return self.laid[tol]
+
+    def _fitting(self, tol: float) -> FirstMesh | None:
         if corners_suffice(self.surface, self.coarse, self.frame, tol):
             return self.lattice(tol, bare=True)
         if self.expected(tol) < _FEW or self.curved:
             return None
         lattice = self.lattice(tol)
         share = seam_share(self.kernel, lattice.mesh, lattice.aim)
-        return lattice if share <= _SEAMS else None
+        most = _SEAMS if self.expected(tol) < _LARGE else _SEAMS_LARGE
+        return lattice if share <= most else None
 
     def drafts(self, tol: float, report: Report) -> list[FirstMesh]:
         """The best drafts from as many lattices as the effort has time for.
@@ -163,11 +173,14 @@ class _Job:
             start = laid if turn == 0 and laid is not None else self.lattice(tol, error, turn)
             return _with(start, draft(*self.given(start), error, report, start.least))
 
-        def improved(start: FirstMesh) -> FirstMesh:
+        def improved(start: FirstMesh, report: Report = lambda _: None) -> FirstMesh:
+            if fits:
+                mesh = between_crystals(*self.given(start), start.least, report)
+                start = _with(start, mesh)
             return self.cycled(start, min(how.cycles, most // _size(start)))
 
         if number == 1:
-            return [improved(drafted(0, report))]
+            return [improved(drafted(0, report), report)]
         # Where all are kept none has to wait for the others.
         first = (lambda turn: improved(drafted(turn))) if number <= how.kept else drafted
         best: list[FirstMesh] = []

@@ -10,6 +10,7 @@ import numpy as np
 
 from equimesh.fields.kernel import PATCHES, KernelField
 from equimesh.optimise.anneal import VISITS, anneal, exchange, press
+from equimesh.optimise.crystals import anneal_between
 from equimesh.optimise.effort import EFFORTS
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.flips import flip_all
@@ -53,6 +54,7 @@ from equimesh.optimise.trials import removal_round
 
 __all__ = [
     "Report",
+    "between_crystals",
     "cycled",
     "draft",
     "finer_draft",
@@ -200,6 +202,26 @@ def cycled(
         if idle > _IDLE:
             break
     return best
+
+
+def between_crystals(
+    field: KernelField, mesh: Mesh, tol: float, effort: str, least: float, report: Report
+) -> Mesh:
+    """A wide lattice with its bands between crystals annealed, where that leaves fewer triangles.
+
+    ``least``: N*.
+    """
+    how, size = EFFORTS[effort], triangles_in(mesh)
+    hurried = size > how.tightened
+    if how.tightened == 0 or not is_wide(mesh) or size <= how.goal(least, hurried=hurried):
+        return mesh
+    trial = copied(mesh)
+    with modelled(field, trial):
+        trial = anneal_between(field, trial, tol, hurried, how.promise(least), report)
+        trial = _closed(field, trial, tol, make_queue(len(trial.x)), closely=True)
+        trial = _thinned(field, trial, tol, effort, least)
+        good = violations(trial, 1.0)[0] == 0
+    return trial if good and triangles_in(trial) < size else mesh
 
 
 def _pressed(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> Mesh:

@@ -27,7 +27,7 @@ class Effort:
     of them on the true errors, which are pressed in ``presses`` rounds. In between the ``kept``
     best drafts go through up to ``cycles`` of exchange and repair, as many as ``cycled`` triangles
     allow, the first numbers where lattices fit, for there is less to gain. Wide meshes of up to
-    ``tightened`` triangles that must be annealed are tightened before. A mesh of
+    ``tightened`` triangles are tightened before, larger lattices in a hurry. A mesh of
     ``1 + enough / sqrt(N*)`` times N* triangles gets no more of all that, nor of removal, since
     what its border costs falls like that too; of wide ones, where more can be had, the second
     number says what is enough. Without these numbers nothing is.
@@ -49,16 +49,17 @@ class Effort:
     tightened: int = 0
     enough: tuple[float, float] | None = None
 
-    def goal(self, least: float, foreseen: float = 1.0) -> float:
+    def goal(self, least: float, foreseen: float = 1.0, hurried: bool = False) -> float:
         """With how many triangles a mesh is good enough where the lower bound N* is ``least``.
 
-        ``foreseen``: how well they are known.
+        ``foreseen``: how well they are known. ``hurried``: where every triangle takes long, what is
+        enough for small meshes will do.
         """
         if self.enough is None:
             return 0.0  # N* is a limit, below which small meshes may be
         border = math.sqrt(least)
         few = least + max(_SPARE * least, _BORDER * border)
-        enough = self.enough[least >= WIDE]
+        enough = self.enough[least >= WIDE and not hurried]
         return min(foreseen * (least + enough * border), few)
 
     def promise(self, least: float) -> float:

@@ -55,18 +55,25 @@ def _price(m, t):
     return _judged(m, m.ie[t]) + 0.5 * edges
 
 
+@inlined
+def _gives_way(m, t):
+    """Whether there is a triangle in slot t and one of its corners can move."""
+    a, b, c = m.tv[t, 0], m.tv[t, 1], m.tv[t, 2]
+    return a >= 0 and (m.kind[a] != FIXED or m.kind[b] != FIXED or m.kind[c] != FIXED)
+
+
 @compiled
 def prices_alone(m, first, last, out):
     """``prices`` of triangles ``first`` ... ``last`` in one thread."""
     total = 0.0
     for t in range(first, last):
-        out[t] = _price(m, t) if m.tv[t, 0] >= 0 else 0.0
+        out[t] = _price(m, t) if _gives_way(m, t) else 0.0
         total += out[t]
     return total
 
 
 def prices(mesh: Mesh, out: NDArray[np.float64]) -> float:
-    """Energy of each triangle into ``out`` (t,); returns their sum."""
+    """Energy of each triangle that can give way into ``out`` (t,); returns their sum."""
     in_ranges(lambda first, last: prices_alone(mesh, first, last, out), len(out), _RANGE)
     return float(out.sum())
 
@@ -157,9 +164,10 @@ def _slopes(F, m, tol, first, last, before, slopes, shares):
     ``last``, and the first and second derivative (., 4, 2) of their energies, 0 for what another
     triangle has. Rows are numbered from the triangle ``before``."""
     for t in range(first, last):
+        stiff = not _gives_way(m, t)
         for k in range(4):
             shares[t - before, k, 0] = shares[t - before, k, 1] = 0.0
-            if m.tv[t, 0] < 0 or (k < 3 and m.tn[t, k] > t):
+            if stiff or (k < 3 and m.tn[t, k] > t):
                 continue
             share, e = 1.0, abs(m.ie[t])
             g = slopes[t - before, k]

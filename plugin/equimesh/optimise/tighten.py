@@ -20,10 +20,11 @@ from equimesh.optimise.trials import mending_round
 
 __all__ = ["tighten"]
 
-# Errors that vertices are exchanged for, in units of the tolerance. They are the highest at first:
-# what goes then must not be missed in the end. The last is repeated.
-_AIMS = (1.06, 1.03, 1.01, 1.03, 1.01)
-_ROUNDS = 8  # at most; then violations are left to insertion alone
+# Errors that vertices are exchanged for, in units of the tolerance: high ones at first, for what
+# can go, then lower ones, for what is missed. The last is repeated.
+_AIMS = (1.1, 1.06, 1.03, 1.01, 1.0, 0.99)
+_HURRIED = (4, 6)  # from which of these, and before which, where there is little time
+_ROUNDS = 9  # at most; then violations are left to insertion alone
 _WORST = 0.02  # of the triangles: vertices are inserted in so many. In more it is strain from afar.
 _LOCAL = 0.1  # of the triangles: where more are violated, nothing is gained by spreading that
 _SPREADING = 8  # moves of each vertex that they are spread by
@@ -38,14 +39,16 @@ def tighten(
     queue: Queue,
     goal: float,
     report: Callable[[float], None],
+    hurried: bool = False,
 ) -> tuple[Mesh, Queue]:
     """Vertices to dislocations that lack them, then from wherever slack comes together, in turn.
 
     Until the mesh promises at most ``goal`` triangles, or hardly anything is violated after a few
-    rounds. Returns the mesh (enlarged where it had to be) and a queue for it. The mesh has
-    Hermite's errors.
+    rounds; ``hurried``: in the last of these alone. Returns the mesh (enlarged where it had to be)
+    and a queue for it. The mesh has Hermite's errors.
     """
-    for number in range(_ROUNDS):
+    first, last = _HURRIED if hurried else (0, _ROUNDS)
+    for number in range(first, last):
         count, over = triangles_in(mesh), len(violated(mesh))
         if over < _SETTLED * count and (number >= len(_AIMS) or expected(mesh) <= goal):
             break
@@ -60,5 +63,5 @@ def tighten(
         exchange(field, mesh, tol, error, queue, VISITS, HARD)
         evaluate_all(field, mesh, tol)
         press(field, mesh, tol, _PRESSES)
-        report((number + 1) / _ROUNDS)
+        report((number + 1 - first) / (last - first))
     return mesh, queue
