@@ -176,8 +176,14 @@ def main() -> int:
         else:
             tools.append(tool)
     if "equimesh" in tools:
-        for case in (FUNCTIONS[0], FUNCTIONS[5]):
-            equimesh.remesh(case, 10.0 * case.tolerances[0], case.box)
+        # Kernels are loaded once: those of lattices, of meshes that are annealed, and of wide ones.
+        wave, franke, peaks = FUNCTIONS[0], FUNCTIONS[5], FUNCTIONS[7]
+        for case, tol in (
+            (wave, 10.0 * wave.tolerances[0]),
+            (franke, 10.0 * franke.tolerances[0]),
+            (peaks, peaks.tolerances[1]),
+        ):
+            equimesh.remesh(case, tol, case.box)
     made: list[Line] = []
     faults: list[str] = []
     for line in lines(chosen(options.cases), tools, options.efforts, faults):

@@ -174,10 +174,11 @@ class _Job:
             return _with(start, draft(*self.given(start), error, report, start.least))
 
         def improved(start: FirstMesh, report: Report = lambda _: None) -> FirstMesh:
-            if fits:
+            cycles = min(how.cycles, most // _size(start))
+            if fits and cycles == 0:
                 mesh = between_crystals(*self.given(start), start.least, report)
-                start = _with(start, mesh)
-            return self.cycled(start, min(how.cycles, most // _size(start)))
+                return _with(start, mesh)
+            return self.cycled(start, cycles)
 
         if number == 1:
             return [improved(drafted(0, report), report)]
