@@ -72,6 +72,7 @@ _AGAIN = (1, 1, 1)  # of a wide mesh that was pressed as hard just now,
 _EVENING, _EVENING_FINER = (2, 1, 2), (1, 3, 0)  # and between rounds of regions
 _AIMS = (0.93, 1.0)  # errors that cycles aim at, in units of the tolerance
 _SMALL = 1_500  # triangles below which more trials of an exchange do not pay
+_LARGE = 50_000  # triangles of a lattice above which its bands must have more to gain
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Hermite's formula.
 _ON_DATA = {"fast": (1, 12), "balanced": (3, 60), "best": (3, 60)}
@@ -212,11 +213,12 @@ def between_crystals(
     ``least``: N*.
     """
     how, size = EFFORTS[effort], triangles_in(mesh)
-    hurried = size > how.tightened
-    if how.tightened == 0 or not is_wide(mesh) or size <= how.goal(least, hurried=hurried):
+    goal = how.goal(least, hurried=size > _LARGE)
+    if how.tightened == 0 or not is_wide(mesh) or size <= goal:
         return mesh
     trial = copied(mesh)
     with modelled(field, trial):
+        hurried = size > how.tightened
         trial = anneal_between(field, trial, tol, hurried, how.promise(least), report)
         trial = _closed(field, trial, tol, make_queue(len(trial.x)), closely=True)
         trial = _thinned(field, trial, tol, effort, least)

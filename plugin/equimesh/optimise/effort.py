@@ -52,8 +52,8 @@ class Effort:
     def goal(self, least: float, foreseen: float = 1.0, hurried: bool = False) -> float:
         """With how many triangles a mesh is good enough where the lower bound N* is ``least``.
 
-        ``foreseen``: how well they are known. ``hurried``: where every triangle takes long, what is
-        enough for small meshes will do.
+        ``foreseen``: how well they are known. ``hurried``: what is enough for small meshes will
+        do for a wide one.
         """
         if self.enough is None:
             return 0.0  # N* is a limit, below which small meshes may be
