@@ -15,7 +15,7 @@ LINES = ("sin(6*x)+cos(5*y)", (0, 0, 1, 1))  # with lines where det H vanishes
 
 
 def tolerance_for(text, domain, least):
-    """The tolerance for which N* is about ``least``, and N* at that."""
+    """The tolerance for which N* is about ``least``."""
     tol = 1e-2
     for _ in range(2):
         run = equimesh.remesh(text, tol, domain, effort="fast")

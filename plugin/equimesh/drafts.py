@@ -73,14 +73,15 @@ def best_drafts(
     progress.
     """
     job = _Job(surface, kernel, sides, frame, effort, two_sided)
-    if kernel.kind == PATCHES:
-        expected = job.expected(tol)
-        how = nested_for(effort, expected)
-        if how is not None:
-            levels = job.levels(tol, math.floor(math.log(expected / how.least, 4.0)))
-            if levels > 0 and job.fitting(tol) is None:
-                return [job.nested(tol, tol * 4.0**levels * how.error, levels, how, report)]
-    return job.drafts(tol, report)
+    if kernel.kind != PATCHES:
+        return [job.lattice(tol)]
+    expected, laid = job.expected(tol), job.fitting(tol)
+    how = nested_for(effort, expected)
+    if laid is None and how is not None:
+        levels = job.levels(tol, math.floor(math.log(expected / how.least, 4.0)))
+        if levels > 0:
+            return [job.nested(tol, tol * 4.0**levels * how.error, levels, how, report)]
+    return job.drafts(tol, laid, report)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -93,8 +94,7 @@ class _Job:
     frame: Frame
     effort: str
     two_sided: bool
-    sizes: dict[float, float] = dataclasses.field(default_factory=dict)  # by tolerance,
-    laid: dict[float, FirstMesh | None] = dataclasses.field(default_factory=dict)  # as well
+    sizes: dict[float, float] = dataclasses.field(default_factory=dict)  # by tolerance
 
     @cached_property
     def coarse(self) -> Coarse:
@@ -137,11 +137,6 @@ class _Job:
 
     def fitting(self, tol: float) -> FirstMesh | None:
         """The lattice if it fits, so that annealing it would not pay; or the corners if they do."""
-        if tol not in self.laid:
-            self.laid[tol] = self._fitting(tol)
-        return self.laid[tol]
-
-    def _fitting(self, tol: float) -> FirstMesh | None:
         if corners_suffice(self.surface, self.coarse, self.frame, tol):
             return self.lattice(tol, bare=True)
         if self.expected(tol) < _FEW or self.curved:
@@ -151,14 +146,11 @@ class _Job:
         most = _SEAMS if self.expected(tol) < _LARGE else _SEAMS_LARGE
         return lattice if share <= most else None
 
-    def drafts(self, tol: float, report: Report) -> list[FirstMesh]:
+    def drafts(self, tol: float, laid: FirstMesh | None, report: Report) -> list[FirstMesh]:
         """The best drafts from as many lattices as the effort has time for.
 
-        On data, and where no further vertex is needed, the first mesh itself.
+        ``laid``: the lattice where one fits. Where no further vertex is needed, that itself.
         """
-        if self.kernel.kind != PATCHES:
-            return [self.lattice(tol)]
-        laid = self.fitting(tol)
         if laid is not None and laid.settled:
             return [laid]
         how, cost, fits = EFFORTS[self.effort], self.expected(tol), laid is not None
