@@ -65,8 +65,10 @@ _HOPE_OUT, _HOPE_IN, _FALL = 9.0, 1.0, 1 / 3
 _TRIED = 0.2  # of an exchange's visits, at least, are made
 _STEPS = 8  # of all vertices between rounds of flips
 _ROUNDS = 2  # of exchanges
-_LASTING = 1e-2  # flips for each triangle below which steps of all vertices no longer matter
-_PATIENCE = 20  # rounds of steps and flips, at most
+# Flips for each triangle below which steps of all vertices no longer matter, in small meshes and in
+# wide ones, where much strain is left if they end too soon.
+_LASTING, _LASTING_WIDE = 1e-2, 1e-3
+_PATIENCE = 40  # rounds of steps and flips, at most
 _LAST = 0.97  # the least error to anneal for in the end
 # Where a surface is convex or concave one crystal fills it, with hardly a dislocation: its errors
 # may be this large while others are still annealed for less, in small meshes and wide.
@@ -175,28 +177,40 @@ def exchange(
     queue: Queue,
     visits: int,
     manner: int = FIRM,
+    briefly: bool = False,
 ) -> None:
     """Rounds of exchanges for ``error`` in one manner, all vertices relaxed before and after.
 
-    ``visits``: how many moves of vertices around an exchange may make it pay.
+    ``visits``: how many moves of vertices around an exchange may make it pay. ``briefly``: see
+    ``exchange_all``.
     """
     mesh.share[:] = shares(mesh, error)
-    exchange_all(field, mesh, error * tol, queue, visits, manner)
+    exchange_all(field, mesh, error * tol, queue, visits, manner, briefly)
     mesh.share[:] = 1.0
 
 
 def exchange_all(
-    field: KernelField, mesh: Mesh, aim: float, queue: Queue, visits: int, manner: int
+    field: KernelField,
+    mesh: Mesh,
+    aim: float,
+    queue: Queue,
+    visits: int,
+    manner: int,
+    briefly: bool = False,
 ) -> None:
-    """The same with the shares that the mesh has, for an error in units of z."""
+    """The same with the shares that the mesh has, for an error in units of z.
+
+    ``briefly``: a wide mesh is relaxed no longer than a small one, for strain ends near by.
+    """
+    lasting = _LASTING_WIDE if is_wide(mesh) and not briefly else _LASTING
     mesh.count[MANNER] = manner
     evaluate_all(field, mesh, aim)
-    _give_way(field, mesh, aim)
+    _give_way(field, mesh, aim, lasting)
     stamp = np.zeros(len(mesh.x), np.int64)
     for number in range(1, _ROUNDS + 1):
         if exchange_once(field, mesh, aim, queue, visits, stamp, number) == 0:
             break
-    _give_way(field, mesh, aim)
+    _give_way(field, mesh, aim, lasting)
     mesh.count[MANNER] = SETTLE
 
 
@@ -256,26 +270,33 @@ def bowls(mesh: Mesh) -> NDArray[np.bool_]:
     return np.asarray(xx * yy > xy * xy)
 
 
-def press(field: KernelField, mesh: Mesh, tol: float, rounds: tuple[int, int, int]) -> None:
+def press(
+    field: KernelField,
+    mesh: Mesh,
+    tol: float,
+    rounds: tuple[int, int, int],
+    enough: float | None = None,
+) -> None:
     """Lower the largest errors as far as moves and flips alone can.
 
     In up to so many ``rounds`` at each of three powers. The second and the third, which bring the
-    errors around dislocations close to all others, are for wide meshes.
+    errors around dislocations close to all others, are for wide meshes. A power ends when nothing
+    flips; with ``enough``, a share of the energy, only when no step lowers it by that either.
     """
     for manner, most in zip((HARD, HARDER, HARDEST), rounds, strict=True):
         if manner != HARD and not is_wide(mesh):
             break
         mesh.count[MANNER] = manner
         for _ in range(most):
-            relax_together(field, mesh, tol, _STEPS)
-            if flip_all(field, mesh, tol, 50) == 0:
+            steps = relax_together(field, mesh, tol, _STEPS, enough)
+            if flip_all(field, mesh, tol, 50) == 0 and (enough is None or steps < _STEPS):
                 break
     mesh.count[MANNER] = SETTLE
 
 
-def _give_way(field: KernelField, mesh: Mesh, tol: float) -> None:
-    """Steps of all vertices and flips in turn until hardly anything flips."""
+def _give_way(field: KernelField, mesh: Mesh, tol: float, lasting: float) -> None:
+    """Steps of all vertices and flips in turn until no more than ``lasting`` of a triangle flip."""
     for _ in range(_PATIENCE):
         relax_together(field, mesh, tol, _STEPS)
-        if flip_all(field, mesh, tol, 50) <= _LASTING * mesh.count[TRIANGLES]:
+        if flip_all(field, mesh, tol, 50) <= lasting * mesh.count[TRIANGLES]:
             break

@@ -18,7 +18,7 @@ from equimesh.optimise.anneal import VISITS, exchange, press
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.mesh import FIXED, FREE, GONE, Mesh
 from equimesh.optimise.relax import make_queue
-from equimesh.optimise.tighten import tighten
+from equimesh.optimise.tighten import close, tighten
 
 __all__ = ["anneal_between"]
 
@@ -36,8 +36,8 @@ def anneal_between(
     goal: float,
     report: Callable[[float], None],
 ) -> Mesh:
-    """Exchange vertices between crystals of a lattice that keeps ``tol``; afterwards some triangles
-    may be above it.
+    """Exchange vertices between crystals of a lattice that keeps ``tol``, so that it keeps it
+    again.
 
     ``hurried`` and ``goal``: as far as ``tighten`` goes. The mesh has Hermite's errors. Returns
     it, enlarged where it had to be.
@@ -47,11 +47,14 @@ def anneal_between(
     mesh.kind[held] = FIXED
     queue = make_queue(len(mesh.x))
     for number in range(_ROUNDS):
-        exchange(field, mesh, tol, 1.0, queue, VISITS)
+        exchange(field, mesh, tol, 1.0, queue, VISITS, briefly=True)
         evaluate_all(field, mesh, tol)
         press(field, mesh, tol, _PRESSES)
         report(0.1 * (number + 1))
-    mesh, _ = tighten(field, mesh, tol, queue, goal, lambda f: report(0.2 + 0.8 * f), hurried)
+    mesh, queue = tighten(
+        field, mesh, tol, queue, goal, lambda f: report(0.2 + 0.7 * f), narrow=True, hurried=hurried
+    )
+    mesh = close(field, mesh, tol, queue, hurried)
     mesh.kind[held] = FREE
     return mesh
 

@@ -49,7 +49,7 @@ from equimesh.optimise.sweep import (
     vertex_waste,
     violations,
 )
-from equimesh.optimise.tighten import tighten
+from equimesh.optimise.tighten import close, tighten
 from equimesh.optimise.trials import removal_round
 
 __all__ = [
@@ -134,7 +134,7 @@ def draft(
         wide = WIDE <= triangles_in(mesh) <= how.tightened
         if annealed is not None and wide and expected(mesh) > goal:
             mesh, queue = tighten(field, mesh, tol, queue, goal, lambda f: report(0.8 + 0.15 * f))
-            mesh = _closed(field, mesh, tol, queue, closely=True)
+            mesh = close(field, mesh, tol, queue)
             report(0.97)
             return _thinned(field, mesh, tol, effort, least)
         split_borders(field, mesh, tol)
@@ -220,7 +220,6 @@ def between_crystals(
     with modelled(field, trial):
         hurried = size > how.tightened
         trial = anneal_between(field, trial, tol, hurried, how.promise(least), report)
-        trial = _closed(field, trial, tol, make_queue(len(trial.x)), closely=True)
         trial = _thinned(field, trial, tol, effort, least)
         good = violations(trial, 1.0)[0] == 0
     return trial if good and triangles_in(trial) < size else mesh

@@ -28,7 +28,8 @@ __all__ = [
 FEW = 0.01  # of the triangles: no more violations are mended place by place
 STRAINED = 16  # moves of each vertex that strain is evened out by
 _INSERTIONS = 39  # rounds of insertion at most
-_BESIDE = 1.03  # by which more, for those beside them may be underestimated as well
+# Above what errors are, and as much again: those beside may be underestimated as well.
+_BESIDE = 1e-3
 _LOUDEST = 2.0  # share by which errors are multiplied, at most, where they were underestimated
 
 
@@ -49,7 +50,7 @@ def repair(
     corners = mesh.tv[slots]
     moved = np.zeros(len(mesh.x), np.uint8)
     moved[corners] = 1
-    louder = mesh.share[corners] * _BESIDE * errors[:, None]
+    louder = mesh.share[corners] * (2.0 * errors[:, None] - 1.0 + _BESIDE)
     np.maximum.at(mesh.share, corners, louder.clip(1.0, _LOUDEST))
     evaluate_all(field, mesh, tol, moved)
     queue = make_queue(len(mesh.x))

@@ -252,13 +252,18 @@ class _Steps:
         _note_places(self.mesh, self.room.old)
 
 
-def relax_together(field: KernelField, mesh: Mesh, tol: float, rounds: int) -> int:
+def relax_together(
+    field: KernelField, mesh: Mesh, tol: float, rounds: int, enough: float | None = None
+) -> int:
     """Up to ``rounds`` steps in the mesh's manner, a power; returns how many lowered the energy.
 
-    The errors that the mesh has stored must be those of its vertices.
+    They end with one that lowers it by a smaller share than ``enough``, which where it is not given
+    depends on the size of the mesh. The errors that the mesh has stored must be those of its
+    vertices.
     """
     steps, damping = _Steps(field, mesh, tol), _DAMPING
-    enough = _ENOUGH_ALONE if steps.triangles <= ALONE else _ENOUGH
+    if enough is None:
+        enough = _ENOUGH_ALONE if steps.triangles <= ALONE else _ENOUGH
     for done in range(rounds):
         steps.system.assemble(field, mesh, tol)
         now = math.inf

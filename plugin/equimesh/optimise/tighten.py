@@ -2,34 +2,52 @@
 
 Their largest errors are at dislocations, where no exchange that must pay at once, and no pressing,
 brings them down. Vertices inserted there do, and make slack that vertices pay for which go
-elsewhere. What is violated in the end is mended place by place.
+elsewhere. What is above the tolerance by a little, over whole regions, takes none: pressed closely
+enough it comes down, or the next exchange is for lower errors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from equimesh.fields.kernel import KernelField
-from equimesh.optimise.anneal import VISITS, exchange, press
-from equimesh.optimise.energy import evaluate_all
-from equimesh.optimise.mending import FEW, insert_at, spread, violated
-from equimesh.optimise.mesh import HARD, Mesh, triangles_in
+from equimesh.optimise.anneal import VISITS, bowls, exchange_all, press
+from equimesh.optimise.energy import evaluate_all, worst_errors
+from equimesh.optimise.flips import flip_all
+from equimesh.optimise.mending import FEW, insert_at, lower_errors, spread, violated
+from equimesh.optimise.mesh import FIXED, HARD, Mesh, triangles_in
 from equimesh.optimise.regions import expected
 from equimesh.optimise.relax import Queue
+from equimesh.optimise.sweep import split_borders
 from equimesh.optimise.trials import mending_round
 
-__all__ = ["tighten"]
+__all__ = ["close", "tighten"]
 
 # Errors that vertices are exchanged for, in units of the tolerance: high ones at first, for what
-# can go, then lower ones, for what is missed. The last is repeated.
-_AIMS = (1.1, 1.06, 1.03, 1.01, 1.0, 0.99)
-_HURRIED = (4, 6)  # from which of these, and before which, where there is little time
-_ROUNDS = 9  # at most; then violations are left to insertion alone
+# can go. Then the last, and from it such that nearly all errors come to keep the tolerance: those
+# where the surface is convex or concave, which hardly any dislocation disturbs, and all others.
+_AIMS = (1.1, 1.06, 1.03, 1.01)
+_LOWEST, _HIGHEST = 0.98, 1.04
+_FEWEST, _ROUNDS = 5, 8  # rounds, and at most so many: the more while much is violated
+# Where there is little time: as if after so many rounds, before so many, and for what at first.
+_HURRIED, _HURRIED_AIM = (4, 6), 1.0
+_NEARLY, _LEVEL = 0.99, 1.0005  # share of the errors that are to be below that
+_KNOWN = 500  # triangles of a kind from which on that share is known
+_OUTLIERS = (1.02, 1.02, 1.02, 1.01)  # errors above these are at dislocations; the last repeats
 _WORST = 0.02  # of the triangles: vertices are inserted in so many. In more it is strain from afar.
 _LOCAL = 0.1  # of the triangles: where more are violated, nothing is gained by spreading that
 _SPREADING = 8  # moves of each vertex that they are spread by
 _SETTLED = 0.005  # of the triangles: as long as more are violated nobody knows what that takes
-_PRESSES = (1, 3, 3)  # rounds of pressing: the mesh is near its end
+# Rounds of pressing while much is still to change, and then; they end with steps that gain little.
+_PRESSES, _PRESSES_LAST, _ENOUGH = (1, 2, 2), (1, 3, 6), 1e-4
+_PRESSES_HURRIED = (1, 3, 3)  # which end where nothing flips
+# What is left in the end: rounds, what is mended (errors above the first, and at least such a share
+# of the triangles), and pressing before, until steps gain hardly anything.
+_CLOSING, _APART, _SINGLE = 5, 1.003, 1e-3
+_PRESSES_CLOSING, _ENOUGH_CLOSING = (0, 0, 6), 1e-5
 
 
 def tighten(
@@ -39,29 +57,97 @@ def tighten(
     queue: Queue,
     goal: float,
     report: Callable[[float], None],
+    narrow: bool = False,
     hurried: bool = False,
 ) -> tuple[Mesh, Queue]:
     """Vertices to dislocations that lack them, then from wherever slack comes together, in turn.
 
-    Until the mesh promises at most ``goal`` triangles, or hardly anything is violated after a few
-    rounds; ``hurried``: in the last of these alone. Returns the mesh (enlarged where it had to be)
-    and a queue for it. The mesh has Hermite's errors.
+    Until hardly anything is violated after a few rounds, or in a mesh that promises at most
+    ``goal`` triangles. ``narrow``: what can move are bands, in which nothing spreads far, so that
+    everything violated asks for a vertex; ``hurried``: in two rounds for the last errors alone.
+    Returns the mesh (enlarged where it had to be) and a queue for it. The mesh has Hermite's
+    errors.
     """
     first, last = _HURRIED if hurried else (0, _ROUNDS)
+    aims = np.full(2, _HURRIED_AIM if hurried else _AIMS[first])
     for number in range(first, last):
         count, over = triangles_in(mesh), len(violated(mesh))
-        if over < _SETTLED * count and (number >= len(_AIMS) or expected(mesh) <= goal):
+        if over < _SETTLED * count and (number >= _FEWEST or expected(mesh) <= goal):
             break
-        error = _AIMS[min(number, len(_AIMS) - 1)]
         if over < FEW * count:
             mending_round(field, mesh, tol, queue, violated(mesh))
         else:
             if over < _LOCAL * count:
                 spread(field, mesh, tol, queue, _SPREADING)
-            worst = violated(mesh)[: int(_WORST * count)]
-            mesh, queue, _ = insert_at(field, mesh, tol, queue, worst)
-        exchange(field, mesh, tol, error, queue, VISITS, HARD)
-        evaluate_all(field, mesh, tol)
-        press(field, mesh, tol, _PRESSES)
+            least = 1.0 if narrow else _OUTLIERS[min(number, len(_OUTLIERS) - 1)]
+            above = _above(mesh, least)
+            mesh, queue, _ = insert_at(field, mesh, tol, queue, above[: int(_WORST * count)])
+        _exchange(field, mesh, tol, aims, queue, narrow)
+        early = number < len(_AIMS) - 1
+        if hurried:
+            press(field, mesh, tol, _PRESSES_HURRIED)
+        else:
+            press(field, mesh, tol, _PRESSES if early else _PRESSES_LAST, _ENOUGH)
+        if early:
+            aims[:] = _AIMS[number + 1]
+        else:
+            aims = np.clip(aims * _LEVEL / _levels(mesh), _LOWEST, _HIGHEST)
         report((number + 1 - first) / (last - first))
     return mesh, queue
+
+
+def close(field: KernelField, mesh: Mesh, tol: float, queue: Queue, hurried: bool = False) -> Mesh:
+    """The tightened mesh (enlarged where it had to be) without what is violated in it.
+
+    Pressing does for most, and a vertex for each would be too many: only the worst are mended.
+    ``hurried``: all are mended at once.
+    """
+    split_borders(field, mesh, tol)
+    flip_all(field, mesh, tol, 50)
+    for _ in range(0 if hurried else _CLOSING):
+        if len(violated(mesh)) == 0:
+            break
+        press(field, mesh, tol, _PRESSES_CLOSING, _ENOUGH_CLOSING)
+        most = max(len(_above(mesh, _APART)), int(_SINGLE * triangles_in(mesh)))
+        worst = violated(mesh)[:most]
+        mending_round(field, mesh, tol, queue, worst)
+        mesh, queue, _ = insert_at(field, mesh, tol, queue, worst)
+    return lower_errors(field, mesh, tol, queue)
+
+
+def _above(mesh: Mesh, error: float) -> NDArray[np.int64]:
+    """Triangles with an error above this, in units of the tolerance, the worst first."""
+    order = violated(mesh)
+    return order[worst_errors(mesh)[order] > error]
+
+
+def _exchange(
+    field: KernelField,
+    mesh: Mesh,
+    tol: float,
+    aims: NDArray[np.float64],
+    queue: Queue,
+    briefly: bool,
+) -> None:
+    """Exchange vertices for the first of two errors in bowls and for the second elsewhere."""
+    bowl, other = aims
+    mesh.share[:] = np.where(bowls(mesh), other / bowl, 1.0)
+    exchange_all(field, mesh, other * tol, queue, VISITS, HARD, briefly)
+    mesh.share[:] = 1.0
+    evaluate_all(field, mesh, tol)
+
+
+def _levels(mesh: Mesh) -> NDArray[np.float64]:
+    """(2,) what nearly all errors in bowls, and nearly all others, are below.
+
+    Where there are too few triangles to tell, as it ought to be.
+    """
+    corners = mesh.tv[: mesh.count[0]]
+    moves = (corners[:, 0] >= 0) & (mesh.kind[corners] != FIXED).any(1)
+    corners, worst = corners[moves], worst_errors(mesh)[: len(moves)][moves]
+    bowl = bowls(mesh)[corners].sum(1) >= 2
+    return np.array([_level(worst[bowl]), _level(worst[~bowl])])
+
+
+def _level(errors: NDArray[np.float64]) -> float:
+    return float(np.quantile(errors, _NEARLY)) if len(errors) >= _KNOWN else _LEVEL
