@@ -65,9 +65,9 @@ _HOPE_OUT, _HOPE_IN, _FALL = 9.0, 1.0, 1 / 3
 _TRIED = 0.2  # of an exchange's visits, at least, are made
 _STEPS = 8  # of all vertices between rounds of flips
 _ROUNDS = 2  # of exchanges
-# Flips for each triangle below which steps of all vertices no longer matter; in large meshes, where
-# much strain is left if they end too soon, so many flips, or the second share.
-_LASTING, _LASTING_FLIPS, _LASTING_LEAST = 1e-2, 20, 1e-3
+# Flips for each triangle below which steps of all vertices no longer matter, in small meshes and in
+# wide ones, where much strain is left if they end too soon.
+_LASTING, _LASTING_WIDE = 1e-2, 1e-3
 _PATIENCE = 40  # rounds of steps and flips, at most
 _LAST = 0.97  # the least error to anneal for in the end
 # Where a surface is convex or concave one crystal fills it, with hardly a dislocation: its errors
@@ -200,9 +200,9 @@ def exchange_all(
 ) -> None:
     """The same with the shares that the mesh has, for an error in units of z.
 
-    ``briefly``: a large mesh is relaxed no longer than a small one, for strain ends near by.
+    ``briefly``: a wide mesh is relaxed no longer than a small one, for strain ends near by.
     """
-    lasting = _LASTING if briefly else _lasting(triangles_in(mesh))
+    lasting = _LASTING_WIDE if is_wide(mesh) and not briefly else _LASTING
     mesh.count[MANNER] = manner
     evaluate_all(field, mesh, aim)
     _give_way(field, mesh, aim, lasting)
@@ -292,10 +292,6 @@ def press(
             if flip_all(field, mesh, tol, 50) == 0 and (enough is None or steps < _STEPS):
                 break
     mesh.count[MANNER] = SETTLE
-
-
-def _lasting(triangles: int) -> float:
-    return min(max(_LASTING_FLIPS / triangles, _LASTING_LEAST), _LASTING)
 
 
 def _give_way(field: KernelField, mesh: Mesh, tol: float, lasting: float) -> None:
