@@ -69,7 +69,7 @@ def tighten(
     errors.
     """
     first, last = _HURRIED if hurried else (0, _ROUNDS)
-    aims = np.full(2, _HURRIED_AIM if hurried else _AIMS[first])
+    aims = np.full(2, _HURRIED_AIM if hurried else _AIMS[0])
     for number in range(first, last):
         count, over = triangles_in(mesh), len(violated(mesh))
         if over < _SETTLED * count and (number >= _FEWEST or expected(mesh) <= goal):
@@ -79,8 +79,7 @@ def tighten(
         else:
             if over < _LOCAL * count:
                 spread(field, mesh, tol, queue, _SPREADING)
-            least = 1.0 if narrow else _OUTLIERS[min(number, len(_OUTLIERS) - 1)]
-            above = _above(mesh, least)
+            above = _above(mesh, 1.0 if narrow else _OUTLIERS[min(number, len(_OUTLIERS) - 1)])
             mesh, queue, _ = insert_at(field, mesh, tol, queue, above[: int(_WORST * count)])
         _exchange(field, mesh, tol, aims, queue, narrow)
         early = number < len(_AIMS) - 1
@@ -108,8 +107,8 @@ def close(field: KernelField, mesh: Mesh, tol: float, queue: Queue, hurried: boo
         if len(violated(mesh)) == 0:
             break
         press(field, mesh, tol, _PRESSES_CLOSING, _ENOUGH_CLOSING)
-        most = max(len(_above(mesh, _APART)), int(_SINGLE * triangles_in(mesh)))
-        worst = violated(mesh)[:most]
+        least = int(_SINGLE * triangles_in(mesh))
+        worst = max(_above(mesh, _APART), violated(mesh)[:least], key=len)
         mending_round(field, mesh, tol, queue, worst)
         mesh, queue, _ = insert_at(field, mesh, tol, queue, worst)
     return lower_errors(field, mesh, tol, queue)
