@@ -33,7 +33,7 @@ def grid(cells=20):
 
 def test_even_errors_are_their_own_mean():
     mesh = grid()
-    around = regions._largest_around(mesh)[: int(mesh.count[VERTICES])]
+    around = regions.largest_around(mesh, worst_errors(mesh), 48, 4)[: int(mesh.count[VERTICES])]
     np.testing.assert_allclose(around, 0.9)
 
 
@@ -42,7 +42,7 @@ def test_one_large_error_is_seen_three_rings_away_and_no_farther():
     at = np.argmin(np.hypot(mesh.x - 0.5, mesh.y - 0.5))
     mesh.ie[mesh.v2t[at]] = 1.05
     n = int(mesh.count[VERTICES])
-    around = regions._largest_around(mesh)[:n]
+    around = regions.largest_around(mesh, worst_errors(mesh), 48, 4)[:n]
     away = np.hypot(mesh.x[:n] - 0.5, mesh.y[:n] - 0.5) * 20
     assert around[at] > 0.95
     np.testing.assert_allclose(around[away > 8], 0.9)
@@ -126,7 +126,7 @@ def test_what_curvature_costs_falls_with_the_root_of_the_number():
     assert result.status.ok
     least = result.lower_bound
     assert least > 19_000
-    assert len(result.triangles) <= least + 2.8 * least**0.5
+    assert len(result.triangles) <= least + 2.4 * least**0.5
 
 
 def test_the_highest_powers_bring_the_largest_errors_of_a_wide_mesh_to_the_others(monkeypatch):

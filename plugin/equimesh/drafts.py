@@ -29,7 +29,6 @@ from equimesh.first_mesh import (
 from equimesh.frame import Frame
 from equimesh.integrals import total_curvature
 from equimesh.optimise.driver import (
-    Report,
     between_crystals,
     cycled,
     draft,
@@ -41,6 +40,7 @@ from equimesh.optimise.effort import EFFORTS
 from equimesh.optimise.mesh import Mesh, triangles_in
 from equimesh.optimise.nested import Nested, nested_for
 from equimesh.refinement import refined
+from equimesh.stages import Report, between
 
 __all__ = ["best_drafts", "finished"]
 
@@ -52,6 +52,7 @@ _SEAMS, _SEAMS_LARGE = 0.08, 0.2
 _LARGE = 10_000
 # Errors to anneal lattices for, in units of the tolerance; the denser the lattice, the lower.
 _ERRORS = (0.93, 0.95, 0.94)
+_ERRORS_HEATED = (0.96, 0.95, 0.97)  # of large ones, in which no vertex too many may stay
 _COARSE = 0.95  # and those that are refined, whose own tolerance is less
 _MISSING = 0.008  # of a coarse mesh's triangles: with more its refinements are worse than new ones
 _FITTING = 4  # as many lattices cost what one that must be annealed does
@@ -159,9 +160,10 @@ class _Job:
             number, most = how.lattices, how.cycled[0]
             cost /= _FITTING
         number = max(1, min(number, int(how.triangles // max(cost, 1.0))))
+        errors = _ERRORS_HEATED if cost >= how.heated else _ERRORS
 
         def drafted(turn: int, report: Report = lambda _: None) -> FirstMesh:
-            error = None if fits else _ERRORS[turn % len(_ERRORS)]
+            error = None if fits else errors[turn % len(errors)]
             start = laid if turn == 0 and laid is not None else self.lattice(tol, error, turn)
             return _with(start, draft(*self.given(start), error, report, start.least))
 
@@ -194,13 +196,13 @@ class _Job:
     ) -> FirstMesh:
         """The draft for ``tol`` from one for ``coarse`` that is refined ``levels`` times."""
         start = self.lattice(coarse, _COARSE)
-        mesh = draft(*self.given(start), _COARSE, _between(report, 0.0, 0.4), 0.0, finer=True)
+        mesh = draft(*self.given(start), _COARSE, between(report, 0.0, 0.4), 0.0, finer=True)
         start = _with(start, mesh)
         for left in range(levels - 1, -1, -1):
             aim = aim_for(tol * 4.0**left, 4 * _size(start))
             start = refined(start, self.surface, self.frame, aim)
             share = 0.6 * 0.25**left  # of the time, with all levels before
-            told = _between(report, 0.4 + 0.25 * share, 0.4 + share)
+            told = between(report, 0.4 + 0.25 * share, 0.4 + share)
             start = _with(
                 start, finer_draft(self.kernel, start.mesh, aim, how, told, last=left == 0)
             )
@@ -209,11 +211,6 @@ class _Job:
     def given(self, start: FirstMesh) -> tuple[KernelField, Mesh, float, str]:
         """What every draft is made from."""
         return self.kernel, start.mesh, start.aim, self.effort
-
-
-def _between(report: Report, low: float, high: float) -> Report:
-    """What hears fractions of a part that goes from ``low`` to ``high``."""
-    return lambda fraction: report(low + (high - low) * fraction)
 
 
 def _with(start: FirstMesh, mesh: Mesh) -> FirstMesh:

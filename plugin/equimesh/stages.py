@@ -11,7 +11,14 @@ from typing import Any
 from equimesh.compiling import announced
 from equimesh.errors import Cancelled
 
-__all__ = ["Stages"]
+__all__ = ["Report", "Stages", "between"]
+
+Report = Callable[[float], None]  # hears how far a part of a run is, from 0 to 1
+
+
+def between(report: Report, low: float, high: float) -> Report:
+    """What hears how far a part is that goes from ``low`` to ``high``."""
+    return lambda fraction: report(low + (high - low) * fraction)
 
 
 @dataclass

@@ -20,7 +20,7 @@ from equimesh.frame import Frame
 __all__ = ["Function"]
 
 # Share of the tolerance to which piecewise polynomials stand in for f inside the optimiser.
-_PATCH_SHARE = 1e-3
+_PATCH_SHARE = 2e-4
 _GRID, _FINER = 65, 9  # samples across the domain, and across two cells around an extreme
 _TIED = 1e-9  # relative difference of what is alike but for rounding
 
@@ -184,7 +184,7 @@ class Function:
         return Frame.along(start[side], end[side], sides.corners)
 
     def kernel(self, domain: shapely.Geometry, tol: float) -> KernelField:
-        """Piecewise polynomials within ``tol / 1000`` of f over the domain."""
+        """Piecewise polynomials within ``tol / 5000`` of f over the domain."""
         frame = self.frame(domain)
 
         def local(u: Array, v: Array) -> Array:

@@ -10,59 +10,39 @@ power rises on the way, since in the end only the largest error counts.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
-from equimesh.fields.compiled import compiled, inlined
 from equimesh.fields.kernel import KernelField
-from equimesh.optimise.energy import evaluate_all, penalty, worst_around
+from equimesh.optimise.energy import evaluate_all
+from equimesh.optimise.exchange import exchange_once
 from equimesh.optimise.flips import flip_all
 from equimesh.optimise.mesh import (
-    EPOCH,
     FIRM,
-    FREE,
     HARD,
     HARDER,
     HARDEST,
     HEIGHTS,
-    LOG_T,
     MANNER,
     SETTLE,
-    SLIDES,
     SOFT,
     TRIANGLES,
     WIDE,
     Mesh,
     is_wide,
-    movable,
     triangles_in,
 )
 from equimesh.optimise.newton import relax_together
-from equimesh.optimise.parts import in_parts
-from equimesh.optimise.relax import Queue, clear, push, push_star, relax
-from equimesh.optimise.removal import remove_vertex
-from equimesh.optimise.sweep import (
-    relax_everything,
-    split_at_worst,
-    vertex_waste,
-)
-from equimesh.optimise.topology import begin, commit, rollback, room_left, stamp_touched
+from equimesh.optimise.relax import Queue
+from equimesh.optimise.sweep import relax_everything
 
 __all__ = [
-    "VISITS", "anneal", "bowls", "exchange", "exchange_all", "exchange_once", "press", "relief",
-    "shares",
+    "VISITS", "anneal", "bowls", "exchange", "exchange_all", "heat", "press", "relief", "shares",
 ]  # fmt: skip
 
-# For each power p: (p - 1) times the energy of a lattice triangle of error 1, in the mean of the
-# convex and the saddle lattice. Then an error of 1 has the least energy in a given area.
-_PRICE = {SOFT: 7.0, FIRM: 28.0, HARD: 58.0}
 VISITS = 60  # of vertices around an exchange of a mesh that was annealed
-_OFF = 1.0  # triangles too few or too many around a vertex that make an exchange worth a trial
-# Energy above what would pay, in prices of a triangle, that removals and insertions which are kept
-# still have after a fifth of the visits, and by what it falls in the next fifths (a thousand trials
-# on four functions).
-_HOPE_OUT, _HOPE_IN, _FALL = 9.0, 1.0, 1 / 3
-_TRIED = 0.2  # of an exchange's visits, at least, are made
 _STEPS = 8  # of all vertices between rounds of flips
 _ROUNDS = 2  # of exchanges
 # Flips for each triangle below which steps of all vertices no longer matter, in small meshes and in
@@ -73,82 +53,9 @@ _LAST = 0.97  # the least error to anneal for in the end
 # Where a surface is convex or concave one crystal fills it, with hardly a dislocation: its errors
 # may be this large while others are still annealed for less, in small meshes and wide.
 _CRYSTAL, _CRYSTAL_WIDE = 0.97, 0.99
-
-
-@compiled
-def _energy(m, e0, e1, e2, inner):
-    return 0.5 * (penalty(m, e0) + penalty(m, e1) + penalty(m, e2)) + penalty(m, inner)
-
-
-@compiled
-def _energy_change(m):
-    """Energy of the journal's triangles now, less what it was."""
-    m.count[EPOCH] += 1
-    epoch = m.count[EPOCH]
-    total = 0.0
-    for i in range(m.count[LOG_T]):
-        t = m.log_ti[i, 0]
-        if m.mark[t] != epoch:
-            m.mark[t] = epoch
-            if m.log_ti[i, 1] >= 0:
-                old = m.log_tf[i]
-                total -= _energy(m, old[0], old[1], old[2], old[6])
-            if m.tv[t, 0] >= 0:
-                total += _energy(m, m.ee[t, 0], m.ee[t, 1], m.ee[t, 2], m.ie[t])
-    return total
-
-
-@inlined
-def _pays(F, m, tol, q, visits, price, triangles):
-    """Whether the neighbourhood, relaxed, has less energy than that of what the change saves.
-
-    What is far from it after some of the visits never gets there: then the rest are not made.
-    """
-    done, hope = 0, (_HOPE_OUT if triangles < 0 else _HOPE_IN) * price
-    while done < visits:
-        made = relax(F, m, tol, q, visits // 5, 12)
-        if made == 0:
-            break
-        done += made
-        if _energy_change(m) + price * triangles > hope:
-            return False
-        hope *= _FALL
-    return _energy_change(m) + price * triangles < 0.0
-
-
-@compiled
-def _exchange(F, m, tol, q, candidates, waste, visits, stamp, number, price):
-    """Remove each candidate whose waste is positive, or insert beside it; keep what pays.
-
-    A triangle costs ``price``. Vertices around what was kept get the stamp ``number``. Returns how
-    many changes were kept.
-    """
-    kept = 0
-    for i in range(candidates.shape[0]):
-        v = candidates[i]
-        if (m.kind[v] != FREE and m.kind[v] != SLIDES) or not room_left(m):
-            continue
-        begin(m)
-        clear(q)
-        if waste[i] > 0.0:
-            triangles = -2 if push_star(m, q, v) else -1
-            if remove_vertex(F, m, tol, v, 1e30) < 0.0:
-                rollback(m)
-                continue
-        else:
-            v = split_at_worst(F, m, tol, worst_around(m, v))
-            if v < 0:
-                rollback(m)
-                continue
-            push(q, v)
-            triangles = 2 if push_star(m, q, v) else 1
-        if _pays(F, m, tol, q, visits, price, triangles):
-            stamp_touched(m, stamp, number)
-            commit(m)
-            kept += 1
-        else:
-            rollback(m)
-    return kept
+# Passes in the heat, what it is at first (at .15 half as much is gained, at 1 crystals melt), and
+# triangles too few or too many around a vertex that make an exchange worth a trial.
+_PASSES, _HOTTEST, _OFF_HOT = 30, 0.3, 0.5
 
 
 def anneal(
@@ -167,6 +74,36 @@ def anneal(
     mesh.count[MANNER] = SETTLE
     for manner, aim in ((SOFT, error), (FIRM, max(error, _LAST))):
         exchange(field, mesh, tol, aim, queue, visits, manner)
+
+
+def heat(
+    field: KernelField,
+    mesh: Mesh,
+    tol: float,
+    error: float,
+    queue: Queue,
+    report: Callable[[float], None],
+) -> None:
+    """Passes of exchanges at the lowest power and a temperature that falls.
+
+    Dislocations of a large mesh are far from where they cost least, and each step on the way would
+    have to pay.
+    """
+    mesh.share[:] = shares(mesh, error)
+    aim, unseen = error * tol, np.zeros(len(mesh.x), np.int64)
+    mesh.count[MANNER] = SOFT
+    evaluate_all(field, mesh, aim)
+    _give_way(field, mesh, aim, _LASTING_WIDE)
+    for number in range(_PASSES):
+        now = _HOTTEST * (1.0 - number / _PASSES)
+        unseen[:] = number
+        exchange_once(field, mesh, aim, queue, VISITS, unseen, number + 1, _OFF_HOT, now)
+        relax_together(field, mesh, aim, _STEPS)
+        flip_all(field, mesh, aim, 50)
+        report((number + 1) / _PASSES)
+    _give_way(field, mesh, aim, _LASTING_WIDE)
+    mesh.count[MANNER] = SETTLE
+    mesh.share[:] = 1.0
 
 
 def exchange(
@@ -212,39 +149,6 @@ def exchange_all(
             break
     _give_way(field, mesh, aim, lasting)
     mesh.count[MANNER] = SETTLE
-
-
-def exchange_once(
-    field: KernelField,
-    mesh: Mesh,
-    aim: float,
-    queue: Queue,
-    visits: int,
-    stamp: NDArray[np.int64],
-    number: int,
-    off: float = _OFF,
-) -> int:
-    """One pass in the mesh's manner over the vertices whose ``stamp`` (v,) is the last pass's.
-
-    ``off``: triangles too few or too many around a vertex that make an exchange worth a trial.
-    Vertices around what was kept get the stamp ``number``. Returns how many changes were kept.
-    """
-    candidates = movable(mesh)
-    candidates = candidates[stamp[candidates] == number - 1]
-    waste = vertex_waste(field, mesh, aim, candidates)
-    chosen = np.flatnonzero(np.abs(waste) > off)
-    order = chosen[np.argsort(-np.abs(waste[chosen]), kind="stable")]
-    price = _PRICE[int(mesh.count[MANNER])]
-    candidates, waste = candidates[order], waste[order]
-
-    def work(mesh: Mesh, queue: Queue, rows: NDArray[np.int64]) -> int:
-        return int(
-            _exchange(
-                field, mesh, aim, queue, candidates[rows], waste[rows], visits, stamp, number, price
-            )
-        )
-
-    return in_parts(mesh, queue, candidates, work, _TRIED * visits)
 
 
 def relief(error: float, two_sided: bool, triangles: float) -> float:

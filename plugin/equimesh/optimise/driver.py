@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
 
 from equimesh.fields.kernel import PATCHES, KernelField
-from equimesh.optimise.anneal import VISITS, anneal, exchange, press
+from equimesh.optimise.anneal import VISITS, anneal, exchange, heat, press
 from equimesh.optimise.crystals import anneal_between
 from equimesh.optimise.effort import EFFORTS
 from equimesh.optimise.energy import evaluate_all, worst_errors
@@ -51,9 +51,9 @@ from equimesh.optimise.sweep import (
 )
 from equimesh.optimise.tighten import close, tighten
 from equimesh.optimise.trials import removal_round
+from equimesh.stages import Report, between
 
 __all__ = [
-    "Report",
     "between_crystals",
     "cycled",
     "draft",
@@ -62,7 +62,6 @@ __all__ = [
     "seam_share",
 ]
 
-Report = Callable[[float], None]
 # Hardly any removal succeeds around a vertex that could spare fewer triangles than the first; where
 # there is but one round the second finds as many in less time.
 _WORTH, _WORTH_ONCE = 1.5, 1.9
@@ -72,6 +71,10 @@ _AGAIN = (1, 1, 1)  # of a wide mesh that was pressed as hard just now,
 _EVENING, _EVENING_FINER = (2, 1, 2), (1, 3, 0)  # and between rounds of regions
 _AIMS = (0.93, 1.0)  # errors that cycles aim at, in units of the tolerance
 _SMALL = 1_500  # triangles below which more trials of an exchange do not pay
+_HEATED_FOR = 0.95  # error that is, and then as few rounds of regions begin with
+# Where all errors are at the tolerance one vertex for a true error above it pushes others above it:
+# these are tightened for a little less.
+_SPARED = 0.9995
 _LARGE = 50_000  # triangles of a lattice above which its bands must have more to gain
 _IDLE = 20  # cycles without a gain after which there is no more
 # Rounds of removal and visits on data, which have no Hermite's formula.
@@ -120,21 +123,28 @@ def draft(
         if annealed is not None:
             queue = make_queue(len(mesh.x))
             anneal(field, mesh, tol, annealed, queue, how.trials)
-            report(0.3)
-            even_out(
-                field, mesh, tol, annealed, queue,
-                how.trials if triangles_in(mesh) < _SMALL else VISITS,
-                how.evenings, _EVENING_FINER if finer else _EVENING, goal,
-                lambda f: report(0.3 + 0.5 * f),
-            )  # fmt: skip
-            report(0.8)
+            report(0.1)
+            evened = _EVENING_FINER if finer else _EVENING
+
+            def even(error: float, report: Report) -> None:
+                trials = how.trials if triangles_in(mesh) < _SMALL else VISITS
+                even_out(field, mesh, tol, error, queue, trials, how.evenings, evened, goal, report)
+
+            even(annealed, between(report, 0.1, 0.3))
+            if not finer and triangles_in(mesh) >= how.heated and expected(mesh) > goal:
+                heat(field, mesh, tol, _HEATED_FOR, queue, between(report, 0.3, 0.45))
+                even(_HEATED_FOR, between(report, 0.45, 0.6))
+            report(0.6)
         if finer:
             return mesh
         evaluate_all(field, mesh, tol)
         wide = WIDE <= triangles_in(mesh) <= how.tightened
         if annealed is not None and wide and expected(mesh) > goal:
-            mesh, queue = tighten(field, mesh, tol, queue, goal, lambda f: report(0.8 + 0.15 * f))
-            mesh = close(field, mesh, tol, queue)
+            less = _SPARED * tol
+            evaluate_all(field, mesh, less)
+            mesh, queue = tighten(field, mesh, less, queue, goal, between(report, 0.6, 0.9))
+            mesh = close(field, mesh, less, queue)
+            evaluate_all(field, mesh, tol)
             report(0.97)
             return _thinned(field, mesh, tol, effort, least)
         split_borders(field, mesh, tol)

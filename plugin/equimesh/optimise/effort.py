@@ -13,6 +13,7 @@ _FORESEEN = 0.985  # that well are the triangles known that a mesh will have, an
 # What no small mesh is worth more time for: that share of N* to spare, or so many triangles for
 # each of the square root of N*, of which the best meshes spend most on their border.
 _SPARE, _BORDER = 0.12, 2.0
+_HEATED = 20_000  # triangles; in smaller meshes dislocations are near where they cost least
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,9 @@ class Effort:
     moves of vertices around every trial; ``last_rounds`` and ``last_visits`` the same for the best
     of them on the true errors, which are pressed in ``presses`` rounds. In between the ``kept``
     best drafts go through up to ``cycles`` of exchange and repair, as many as ``cycled`` triangles
-    allow, the first numbers where lattices fit, for there is less to gain. Wide meshes of up to
-    ``tightened`` triangles are tightened before, larger lattices in a hurry. A mesh of
+    allow, the first numbers where lattices fit, for there is less to gain. Annealed meshes of
+    ``heated`` triangles and more are heated before, and wide ones of up to ``tightened`` are
+    tightened, larger lattices in a hurry. A mesh of
     ``1 + enough / sqrt(N*)`` times N* triangles gets no more of all that, nor of removal, since
     what its border costs falls like that too; of wide ones, where more can be had, the second
     number says what is enough. Without these numbers nothing is.
@@ -46,6 +48,7 @@ class Effort:
     kept: int = 1
     cycles: int = 0
     cycled: tuple[int, int] = (0, 0)
+    heated: float = math.inf
     tightened: int = 0
     enough: tuple[float, float] | None = None
 
@@ -71,11 +74,11 @@ EFFORTS = {
     "fast": Effort(rounds=1),
     "balanced": Effort(
         evenings=6, last_rounds=1, presses=1, cycles=5, cycled=(4_000, 12_000),
-        tightened=150_000, enough=(4.5, 3.0),
+        heated=_HEATED, tightened=150_000, enough=(4.5, 3.0),
     ),
     "best": Effort(
         lattices=200, drafts=24, triangles=60_000, trials=60, evenings=8, rounds=20, visits=300,
         last_rounds=20, last_visits=600, presses=4, kept=8, cycles=40, cycled=(300_000, 300_000),
-        tightened=300_000,
+        heated=_HEATED, tightened=300_000,
     ),
 }  # fmt: skip

@@ -29,7 +29,7 @@ FEW = 0.01  # of the triangles: no more violations are mended place by place
 STRAINED = 16  # moves of each vertex that strain is evened out by
 _INSERTIONS = 39  # rounds of insertion at most
 # Above what errors are, and as much again: those beside may be underestimated as well.
-_BESIDE = 1e-3
+_BESIDE = 1e-4
 _LOUDEST = 2.0  # share by which errors are multiplied, at most, where they were underestimated
 
 
@@ -50,7 +50,7 @@ def repair(
     corners = mesh.tv[slots]
     moved = np.zeros(len(mesh.x), np.uint8)
     moved[corners] = 1
-    louder = mesh.share[corners] * (2.0 * errors[:, None] - 1.0 + _BESIDE)
+    louder = mesh.share[corners] * (errors[:, None] + _BESIDE)
     np.maximum.at(mesh.share, corners, louder.clip(1.0, _LOUDEST))
     evaluate_all(field, mesh, tol, moved)
     queue = make_queue(len(mesh.x))

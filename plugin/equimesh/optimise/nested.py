@@ -14,8 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from equimesh.fields.kernel import KernelField
-from equimesh.optimise.anneal import VISITS, exchange_once
+from equimesh.optimise.anneal import VISITS
 from equimesh.optimise.energy import evaluate_all
+from equimesh.optimise.exchange import exchange_once
 from equimesh.optimise.flips import flip_all
 from equimesh.optimise.mesh import FIRM, HARD, MANNER, SETTLE, SOFT, Mesh
 from equimesh.optimise.newton import relax_together

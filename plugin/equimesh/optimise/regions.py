@@ -21,13 +21,13 @@ from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.mesh import SOFT, Mesh, copied, is_wide, restore
 from equimesh.optimise.relax import Queue
 
-__all__ = ["even_out", "expected", "regional_shares"]
+__all__ = ["even_out", "expected", "largest_around", "regional_shares"]
 
 # The largest errors to be, in units of the tolerance: the second in a wide mesh, which is pressed
 # harder,
 _GOAL, _GOAL_WIDE = 0.985, 1.0
 _POWER = 48  # by a mean of this power
-_RINGS = 3  # over so many rings of triangles
+_STARS = 4  # over so many rings of triangles
 # The power by which shares change: the errors of a saddle follow at once only in part. (By this one
 # two rounds do for four.) Those of wide crystals follow at once.
 _EAGER = 1.7
@@ -88,7 +88,9 @@ def regional_shares(
     ``power`` of what these errors are off by: shares change by so much.
     """
     goal = _GOAL_WIDE if is_wide(mesh) else _GOAL
-    return np.clip(share * (_largest_around(mesh) / goal) ** power, _LEAST, _MOST)
+    errors = np.minimum(worst_errors(mesh), _CEILING)
+    largest = largest_around(mesh, errors, _POWER, _STARS)
+    return np.clip(share * (largest / goal) ** power, _LEAST, _MOST)
 
 
 def expected(mesh: Mesh) -> float:
@@ -97,14 +99,17 @@ def expected(mesh: Mesh) -> float:
     return float(len(worst) + _MENDING * np.clip((worst - 1.0) / _MUCH, 0.0, 1.0).sum())
 
 
-def _largest_around(mesh: Mesh) -> NDArray[np.float64]:
-    """(v,) mean of a high power of the errors in the rings around each vertex."""
+def largest_around(
+    mesh: Mesh, errors: NDArray[np.float64], power: float, stars: int
+) -> NDArray[np.float64]:
+    """(v,) mean of this power of the ``errors`` (t,) in the stars around each vertex, one in
+    another, so many of them; 0 where there is no vertex."""
     live = np.flatnonzero(mesh.tv[:, 0] >= 0)
     corners = mesh.tv[live]
-    mean = np.minimum(worst_errors(mesh)[live], _CEILING) ** _POWER
+    mean = errors[live] ** power
     number = np.maximum(np.bincount(corners.ravel(), minlength=len(mesh.x)), 1)
     around = np.zeros(len(mesh.x))
-    for _ in range(_RINGS + 1):
+    for _ in range(stars):
         around = np.bincount(corners.ravel(), np.repeat(mean, 3), len(mesh.x)) / number
         mean = around[corners].mean(1)
-    return np.asarray(around ** (1.0 / _POWER))
+    return np.asarray(around ** (1.0 / power))
