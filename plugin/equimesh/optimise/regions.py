@@ -27,7 +27,7 @@ __all__ = ["even_out", "expected", "largest_around", "regional_shares"]
 # harder,
 _GOAL, _GOAL_WIDE = 0.985, 1.0
 _POWER = 48  # by a mean of this power
-_STARS = 4  # over so many rings of triangles
+_STARS = 4  # over so many stars, one in another
 # The power by which shares change: the errors of a saddle follow at once only in part. (By this one
 # two rounds do for four.) Those of wide crystals follow at once.
 _EAGER = 1.7
