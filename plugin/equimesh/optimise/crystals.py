@@ -19,6 +19,7 @@ from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.mesh import FIXED, FREE, GONE, Mesh
 from equimesh.optimise.relax import make_queue
 from equimesh.optimise.tighten import close, tighten
+from equimesh.stages import between
 
 __all__ = ["anneal_between"]
 
@@ -52,7 +53,7 @@ def anneal_between(
         press(field, mesh, tol, _PRESSES)
         report(0.1 * (number + 1))
     mesh, queue = tighten(
-        field, mesh, tol, queue, goal, lambda f: report(0.2 + 0.7 * f), narrow=True, hurried=hurried
+        field, mesh, tol, queue, goal, between(report, 0.2, 0.9), narrow=True, hurried=hurried
     )
     mesh = close(field, mesh, tol, queue, hurried)
     mesh.kind[held] = FREE

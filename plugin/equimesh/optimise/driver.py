@@ -164,13 +164,13 @@ def finer_draft(
     ``last``: the mesh is not to be refined again, so its errors must keep ``tol``.
     """
     with modelled(field, mesh):
-        settle(field, mesh, tol, how.last if last else how.between, lambda f: report(0.4 * f))
+        settle(field, mesh, tol, how.last if last else how.between, between(report, 0.0, 0.4))
         if not last:
             return mesh
         mesh = _closed(field, mesh, tol, make_queue(len(mesh.x)), how.thorough)
         report(0.95)
         if how.thorough and violations(mesh, 1.0)[0] == 0:
-            _remove(field, mesh, tol, 1, VISITS, lambda f: report(0.95 + 0.05 * f))
+            _remove(field, mesh, tol, 1, VISITS, between(report, 0.95, 1.0))
         return mesh
 
 
@@ -315,11 +315,11 @@ def optimise(
     good = bool(violations(mesh, 1.0)[0] == 0)
     if good or len(field.shape):  # a few angles may be out of reach of insertion alone
         searched = effort == "best" and field.kind != PATCHES
-        share = 0.1 if searched else 0.5
-        _remove(field, mesh, tol, rounds, visits, lambda f: report(0.5 + share * f))
+        end = 0.6 if searched else 1.0
+        _remove(field, mesh, tol, rounds, visits, between(report, 0.5, end))
         good = good or bool(violations(mesh, 1.0)[0] == 0)
         if searched and good:
-            search_all(field, mesh, most, lambda f: report(0.6 + 0.4 * f))
+            search_all(field, mesh, most, between(report, 0.6, 1.0))
     return mesh, good
 
 

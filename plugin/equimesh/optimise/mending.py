@@ -28,7 +28,7 @@ __all__ = [
 FEW = 0.01  # of the triangles: no more violations are mended place by place
 STRAINED = 16  # moves of each vertex that strain is evened out by
 _INSERTIONS = 39  # rounds of insertion at most
-# Above what errors are, and as much again: those beside may be underestimated as well.
+# By how much more than they were underestimated errors beside them are raised.
 _BESIDE = 1e-4
 _LOUDEST = 2.0  # share by which errors are multiplied, at most, where they were underestimated
 
@@ -103,10 +103,10 @@ def lower_errors(
     return insert_greedily(field, mesh, tol)
 
 
-def violated(mesh: Mesh) -> NDArray[np.int64]:
-    """Triangles with an error above the tolerance, the worst first."""
+def violated(mesh: Mesh, error: float = 1.0) -> NDArray[np.int64]:
+    """Triangles with an error above the tolerance, or so many times that, the worst first."""
     worst = worst_errors(mesh)
-    found = np.flatnonzero(worst > 1.0)
+    found = np.flatnonzero(worst > error)
     return np.asarray(found[np.argsort(-worst[found], kind="stable")])
 
 

@@ -85,16 +85,16 @@ def tighten(
         if over < FEW * count:
             mending_round(field, mesh, tol, queue, violated(mesh))
         else:
-            above = _above(mesh, 1.0 if narrow else _OUTLIERS[min(number, len(_OUTLIERS) - 1)])
-            mesh, queue, _ = insert_at(field, mesh, tol, queue, above[: int(_WORST * count)])
+            least = 1.0 if narrow else _OUTLIERS[min(number, len(_OUTLIERS) - 1)]
+            worst = violated(mesh, least)[: int(_WORST * count)]
+            mesh, queue, _ = insert_at(field, mesh, tol, queue, worst)
             weight = _lengthened(weight, mesh)
         early = number < len(_AIMS) - 1
         _exchange(field, mesh, tol, aims, weight, queue, narrow)
+        presses = _PRESSES if early else _PRESSES_LAST
         if hurried:
-            press(field, mesh, tol, _PRESSES_HURRIED)
-        else:
-            presses = _PRESSES if early else _PRESSES_LAST
-            _press_weighed(field, mesh, tol, weight, presses, _ENOUGH)
+            presses = _PRESSES_HURRIED
+        _press_weighed(field, mesh, tol, weight, presses, None if hurried else _ENOUGH)
         if not narrow and number >= len(_AIMS) - 2:
             weight = _weighed(mesh, weight)
         if early:
@@ -120,7 +120,7 @@ def close(field: KernelField, mesh: Mesh, tol: float, queue: Queue, hurried: boo
         _press_weighed(field, mesh, tol, weight, _PRESSES_CLOSING, _ENOUGH_CLOSING)
         if number >= _PATIENT:
             least = int(_SINGLE * triangles_in(mesh))
-            worst = max(_above(mesh, _APART), violated(mesh)[:least], key=len)
+            worst = max(violated(mesh, _APART), violated(mesh)[:least], key=len)
             mending_round(field, mesh, tol, queue, worst)
             mesh, queue, _ = insert_at(field, mesh, tol, queue, worst)
             weight = _lengthened(weight, mesh)
@@ -158,12 +158,6 @@ def _excess_around(mesh: Mesh) -> NDArray[np.float64]:
     return largest
 
 
-def _above(mesh: Mesh, error: float) -> NDArray[np.int64]:
-    """Triangles with an error above this, in units of the tolerance, the worst first."""
-    order = violated(mesh)
-    return order[worst_errors(mesh)[order] > error]
-
-
 def _exchange(
     field: KernelField,
     mesh: Mesh,
@@ -175,13 +169,11 @@ def _exchange(
 ) -> None:
     """Exchange vertices for the first of two errors in bowls and for the second elsewhere.
 
-    Errors are multiplied by ``weight`` (v,) meanwhile.
+    Errors are multiplied by ``weight`` (v,), and those stored are as they were priced.
     """
     bowl, other = aims
     mesh.share[:] = np.where(bowls(mesh), other / bowl, weight)
     exchange_all(field, mesh, other * tol, queue, VISITS, HARD, briefly)
-    mesh.share[:] = 1.0
-    evaluate_all(field, mesh, tol)
 
 
 def _weighed(mesh: Mesh, weight: NDArray[np.float64]) -> NDArray[np.float64]:
