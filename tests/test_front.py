@@ -267,7 +267,7 @@ def test_neighbours_in_a_metric_are_those_of_a_search_through_all(
     distances = np.hypot(*offsets)
     assume(not np.isclose(distances, radius).any())
     found = [
-        nearest(tree, link, box, px, py, x, y, w.ravel(), radius, first, any_one)
+        nearest(tree, link, box, px, py, x, y, w.ravel(), radius, first, number, any_one)
         for any_one in (False, True)
     ]
     if (distances < radius).any():

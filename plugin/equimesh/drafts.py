@@ -52,7 +52,7 @@ _SEAMS, _SEAMS_LARGE = 0.08, 0.2
 _LARGE = 10_000
 # Errors to anneal lattices for, in units of the tolerance; the denser the lattice, the lower.
 _ERRORS = (0.93, 0.95, 0.94)
-_ERRORS_HEATED = (0.96, 0.95, 0.97)  # of large ones, in which no vertex too many may stay
+_ERRORS_HEATED = (0.97, 0.96, 0.98)  # of large ones, in which no vertex too many may stay
 _COARSE = 0.95  # and those that are refined, whose own tolerance is less
 _MISSING = 0.008  # of a coarse mesh's triangles: with more its refinements are worse than new ones
 _FITTING = 4  # as many lattices cost what one that must be annealed does

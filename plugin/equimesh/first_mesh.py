@@ -37,6 +37,7 @@ _MARGIN = 0.05  # of it lies between the aim and the tolerance
 _DATA_MARGIN = 3e-3  # and on data, in units of the tolerance
 _SLACKS = (1.0, 0.6)  # how much of it lattices take in turn: with luck less is enough
 _ROOM = 0.3  # share of spare slots where a lattice is laid
+_ROWS = 20_000  # triangles of a lattice to be annealed, from which on saddles get rows first
 _MOST = 2e7  # triangles that memory is meant to hold
 _ALIKE = 1e-9  # of the domain's extent: coordinates that differ by rounding alone
 
@@ -114,7 +115,8 @@ def first_mesh(
         inner = lattice_points(
             relieved, local, nodes, (reached if error is None else error) * aim, floor,
             int(expected) + 10,
-            turn=turn, obstacles=chains.segments(local),
+            turn=turn, rows=error is not None and expected >= _ROWS,
+            obstacles=chains.segments(local),
         )  # fmt: skip
     points, edges, walls = _outline(ring, local, chains)
     every = np.vstack([points, inner[curve_order(inner)]])

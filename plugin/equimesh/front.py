@@ -14,19 +14,67 @@ are those of the metric at the vertex itself, so errors of integration do not ad
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from equimesh.fields.compiled import allocating
+from equimesh.fields.compiled import allocating, inlined
 from equimesh.fields.patch_kernels import derivatives3
+from equimesh.fields.reference import by_reference
 from equimesh.metric import BOOST_PERIOD, frame_at
 from equimesh.pointtree import insert
 
-__all__ = ["grow", "inside", "nearest"]
+__all__ = [
+    "Front", "Ground", "add", "gauge", "geodesic", "grow", "inside", "near_boundary",
+    "nearest", "sow", "there", "turn", "within",
+]  # fmt: skip
 
 _HALF_SQRT5 = 0.5 * math.sqrt(5.0)
 _EDGE_CONVEX = 0.5 * math.sqrt(3.0)  # circumradius 1/2: error 1
+_FREE = 0.95  # spacings from every vertex: there a lattice of its own begins
 _THERE = 0.3  # spacings: a vertex so near the end of a straight step is that of the curved one too
+
+
+@by_reference
+class Ground(NamedTuple):
+    """What a lattice is laid on (local coordinates).
+
+    A surface (``frame``, ``child``, ``coef`` of its kernel), eight times the tolerance and the
+    least metric; the ``sides`` (s, 4) of the domain, by strips; the neighbours (b, 2) along it of
+    each of ``boundary`` nodes; how near to it vertices come, and to each other where fronts meet.
+    """
+
+    frame: NDArray[np.float64]
+    child: NDArray[np.int32]
+    coef: NDArray[np.float64]
+    eight_tol: float
+    floor: float
+    sides: NDArray[np.float64]
+    strip_start: NDArray[np.int32]
+    strip_items: NDArray[np.int32]
+    strip_box: NDArray[np.float64]
+    following: NDArray[np.int64]
+    boundary: int
+    gap: float
+    merge: float
+
+
+@by_reference
+class Front(NamedTuple):
+    """The lattice so far: room for its points, the boundary's nodes first.
+
+    ``frames`` (capacity, 4) and ``signs`` are W and eps of every vertex; a tree of the points.
+    """
+
+    px: NDArray[np.float64]
+    py: NDArray[np.float64]
+    frames: NDArray[np.float64]
+    signs: NDArray[np.int8]
+    tree: NDArray[np.int32]
+    link: NDArray[np.int32]
+    used: NDArray[np.int64]
+    box: NDArray[np.float64]
 
 
 @allocating
@@ -43,6 +91,22 @@ def inside(sides, strip_start, strip_items, strip_box, x, y):
         if (ay > y) != (by > y) and x < ax + (y - ay) / (by - ay) * (bx - ax):
             odd = not odd
     return odd
+
+
+@allocating
+def within(ground, x, y):
+    """Whether (x, y) is in the domain."""
+    return inside(ground.sides, ground.strip_start, ground.strip_items, ground.strip_box, x, y)
+
+
+@inlined
+def turn(w, eps, angle):
+    """Turn the frame ``w`` by its gauge: a rotation, or a boost where the surface is a saddle."""
+    c, s = (math.cos(angle), math.sin(angle)) if eps > 0 else (math.cosh(angle), math.sinh(angle))
+    back = -s if eps > 0 else s
+    for row in range(0, 4, 2):
+        a, b = w[row], w[row + 1]
+        w[row], w[row + 1] = a * c + b * s, a * back + b * c
 
 
 @allocating
@@ -65,7 +129,7 @@ def _spin(f, child, coef, x, y, wx, wy):
 
 
 @allocating
-def _geodesic(f, child, coef, x, y, w, l1, l2, steps, out):
+def geodesic(f, child, coef, x, y, w, l1, l2, steps, out):
     """Runge-Kutta of order 4 for (x, W) along the lattice step (l1, l2); out = x, y, W."""
     a, b, c, d = w[0], w[1], w[2], w[3]
     h = 1.0 / steps
@@ -97,7 +161,7 @@ def _geodesic(f, child, coef, x, y, w, l1, l2, steps, out):
 
 
 @allocating
-def _gauge(e1x, e1y, e2x, e2y, eps, w, out):
+def gauge(e1x, e1y, e2x, e2y, eps, w, out):
     """The frame at a point (eigenframe e1, e2) whose gauge is nearest to the carried frame w.
 
     ``out[0:4]`` = W row by row. ``w`` may stem from the other signature: the rotation is kept.
@@ -128,10 +192,10 @@ def _gauge(e1x, e1y, e2x, e2y, eps, w, out):
 
 
 @allocating
-def nearest(tree, link, box, px, py, x, y, w, radius, first, any_one):
-    """The point from ``first`` on that is nearest to (x, y) in the metric, at most at ``radius``;
-    -1 where there is none. With ``any_one`` whichever within the radius is found before others:
-    where triangles are huge the whole domain may be near.
+def nearest(tree, link, box, px, py, x, y, w, radius, first, last, any_one):
+    """The point from ``first`` on, before ``last``, nearest to (x, y) in the metric and within
+    ``radius``; -1 where there is none. With ``any_one`` whichever within the radius is found before
+    others: where triangles are huge the whole domain may be near.
     """
     det = w[0] * w[3] - w[1] * w[2]
     reach_x = radius * math.hypot(w[0], w[1])
@@ -158,7 +222,7 @@ def nearest(tree, link, box, px, py, x, y, w, radius, first, any_one):
             continue
         point = tree[node, 4]
         while point >= 0:
-            if point >= first:
+            if first <= point < last:
                 dx, dy = px[point] - x, py[point] - y
                 if abs(dx) <= reach_x and abs(dy) <= reach_y:
                     u = (w[3] * dx - w[1] * dy) / det
@@ -173,8 +237,10 @@ def nearest(tree, link, box, px, py, x, y, w, radius, first, any_one):
 
 
 @allocating
-def _near_boundary(tree, link, box, px, py, count, following, x, y, w, gap):
-    """Whether a boundary segment (node to ``following`` node) passes within ``gap`` of (x, y)."""
+def near_boundary(ground, front, x, y, w):
+    """Whether a boundary segment passes within the gap of (x, y)."""
+    tree, link, box, px, py = front.tree, front.link, front.box, front.px, front.py
+    following, count, gap = ground.following, ground.boundary, ground.gap
     det = w[0] * w[3] - w[1] * w[2]
     radius = 1.1
     reach_x = radius * math.hypot(w[0], w[1])
@@ -219,106 +285,119 @@ def _near_boundary(tree, link, box, px, py, count, following, x, y, w, gap):
     return False
 
 
-@allocating
-def grow(
-    f, child, coef, eight_tol, floor,
-    sides, strip_start, strip_items, strip_box,
-    tree, link, used, box, px, py, frames, signs, following, boundary, count,
-    seeds, gap, merge,
-):  # fmt: skip
-    """Lay vertices from each seed that is not covered yet; returns the number of points.
+@inlined
+def there(front, x, y, w, radius, first, last):
+    """Whether one of the points from ``first`` on, before ``last``, is within ``radius``."""
+    px, py = front.px, front.py
+    return (
+        nearest(front.tree, front.link, front.box, px, py, x, y, w, radius, first, last, True) >= 0
+    )
 
-    ``px, py`` (capacity,) hold ``boundary`` nodes first, which are obstacles (``following`` (b, 2):
-    their neighbours along the boundary); ``frames`` (capacity, 4) and ``signs`` are W and eps of
-    every vertex; ``seeds`` (k, 6): x, y and a gauge to start from. Stops when capacity is reached.
+
+@allocating
+def add(front, count, x, y, w, eps):
+    """The vertex number ``count``; returns how many there are then."""
+    front.px[count], front.py[count], front.signs[count] = x, y, eps
+    front.frames[count] = w
+    insert(front.tree, front.link, front.used, front.box, front.px, front.py, count)
+    return count + 1
+
+
+@allocating
+def grow(ground, front, count, begin, generations):
+    """Lay neighbours of the vertices from ``begin`` on, and theirs, up to so many ``generations``.
+
+    Returns the number of points. Stops when there is room for no more.
     """
-    capacity = px.shape[0]
+    f, child, coef, eight_tol, floor = (
+        ground.frame, ground.child, ground.coef, ground.eight_tol, ground.floor,
+    )  # fmt: skip
+    px, py, frames, signs = front.px, front.py, front.frames, front.signs
     step, w, out = np.empty(6), np.empty(4), np.empty(4)
+    here, end, generation = begin, count, 0
+    while here < count:
+        if here == end:
+            end, generation = count, generation + 1
+        if generation == generations:
+            break
+        convex = signs[here] > 0
+        for side in range(6):
+            if count >= px.shape[0]:
+                return count
+            if convex:
+                angle = side * math.pi / 3.0
+                l1, l2 = _EDGE_CONVEX * math.cos(angle), _EDGE_CONVEX * math.sin(angle)
+            else:
+                l1 = 1.0 if side % 3 == 0 else (0.5 if side % 3 == 1 else -0.5)
+                l2 = 0.0 if side % 3 == 0 else _HALF_SQRT5
+                if side >= 3:
+                    l1, l2 = -l1, -l2
+            x, y = px[here], py[here]
+            w[:] = frames[here]
+            dx, dy = w[0] * l1 + w[1] * l2, w[2] * l1 + w[3] * l2
+            if there(front, x + dx, y + dy, w, _THERE, ground.boundary, count):
+                continue  # five of six steps lead back to a vertex that is there
+            exact = geodesic(f, child, coef, x, y, w, l1, l2, 1, step)
+            if exact:
+                # A step that strays from the straight one has left the reach of the series.
+                ex, ey = step[0] - x - dx, step[1] - y - dy
+                det = w[0] * w[3] - w[1] * w[2]
+                u, v = (w[3] * ex - w[1] * ey) / det, (w[0] * ey - w[2] * ex) / det
+                exact = u * u + v * v < 0.2
+            if exact:
+                nx, ny = step[0], step[1]
+                e1x, e1y, e2x, e2y, eps, pure = frame_at(f, child, coef, nx, ny, eight_tol, floor)
+                exact = pure and eps == signs[here]
+            if not exact:
+                # Trapezoidal rule with the limited metric at both ends.
+                nx, ny = x + dx, y + dy
+                for _ in range(2):
+                    e1x, e1y, e2x, e2y, eps, pure = frame_at(
+                        f, child, coef, nx, ny, eight_tol, floor
+                    )
+                    gauge(e1x, e1y, e2x, e2y, eps, w, out)
+                    if eps == signs[here]:
+                        dx = 0.5 * ((w[0] + out[0]) * l1 + (w[1] + out[1]) * l2)
+                        dy = 0.5 * ((w[2] + out[2]) * l1 + (w[3] + out[3]) * l2)
+                    nx, ny = x + dx, y + dy
+                e1x, e1y, e2x, e2y, eps, pure = frame_at(f, child, coef, nx, ny, eight_tol, floor)
+                step[2], step[3], step[4], step[5] = w[0], w[1], w[2], w[3]
+            if not within(ground, nx, ny):
+                continue
+            if eps != signs[here]:
+                continue  # beyond det H = 0 nothing fits: a seed there does better
+            gauge(e1x, e1y, e2x, e2y, eps, step[2:6], out)
+            limit = ground.merge * (_EDGE_CONVEX if eps > 0 else 1.0)
+            if there(front, nx, ny, out, limit, ground.boundary, count):
+                continue
+            if near_boundary(ground, front, nx, ny, out):
+                continue
+            count = add(front, count, nx, ny, out, eps)
+        here += 1
+    return count
+
+
+@allocating
+def sow(ground, front, count, seeds):
+    """Grow a lattice from each of the ``seeds`` (k, 3: x, y and a gauge) that is not covered yet.
+
+    Returns the number of points.
+    """
+    w = np.empty(4)
     for k in range(seeds.shape[0]):
         x, y = seeds[k, 0], seeds[k, 1]
-        if count >= capacity or not inside(sides, strip_start, strip_items, strip_box, x, y):
+        if count >= front.px.shape[0] or not within(ground, x, y):
             continue
-        e1x, e1y, e2x, e2y, eps, _ = frame_at(f, child, coef, x, y, eight_tol, floor)
-        out[0], out[1], out[2], out[3] = e1x, e2x, e1y, e2y
-        if nearest(tree, link, box, px, py, x, y, out, 0.95, boundary, True) >= 0:
+        e1x, e1y, e2x, e2y, eps, _ = frame_at(
+            ground.frame, ground.child, ground.coef, x, y, ground.eight_tol, ground.floor
+        )
+        w[0], w[1], w[2], w[3] = e1x, e2x, e1y, e2y
+        if there(front, x, y, w, _FREE, ground.boundary, count):
             continue
-        if _near_boundary(tree, link, box, px, py, boundary, following, x, y, out, gap):
+        if near_boundary(ground, front, x, y, w):
             continue
-        g = seeds[k, 2]
-        if eps > 0:
-            ch, sh = math.cos(g), math.sin(g)
-            sh2 = -sh
-        else:
-            ch, sh = math.cosh(g), math.sinh(g)
-            sh2 = sh
-        px[count], py[count], signs[count] = x, y, eps
-        frames[count, 0], frames[count, 1] = e1x * ch + e2x * sh, e1x * sh2 + e2x * ch
-        frames[count, 2], frames[count, 3] = e1y * ch + e2y * sh, e1y * sh2 + e2y * ch
-        insert(tree, link, used, box, px, py, count)
-        head = count
-        count += 1
-        while head < count:
-            here = head
-            head += 1
-            convex = signs[here] > 0
-            for side in range(6):
-                if convex:
-                    angle = side * math.pi / 3.0
-                    l1, l2 = _EDGE_CONVEX * math.cos(angle), _EDGE_CONVEX * math.sin(angle)
-                else:
-                    l1 = 1.0 if side % 3 == 0 else (0.5 if side % 3 == 1 else -0.5)
-                    l2 = 0.0 if side % 3 == 0 else _HALF_SQRT5
-                    if side >= 3:
-                        l1, l2 = -l1, -l2
-                if count >= capacity:
-                    return count
-                x, y = px[here], py[here]
-                w[:] = frames[here]
-                dx, dy = w[0] * l1 + w[1] * l2, w[2] * l1 + w[3] * l2
-                if nearest(tree, link, box, px, py, x + dx, y + dy, w, _THERE, boundary, True) >= 0:
-                    continue  # five of six steps lead back to a vertex that is there
-                exact = _geodesic(f, child, coef, x, y, w, l1, l2, 1, step)
-                if exact:
-                    # A step that strays from the straight one has left the reach of the series.
-                    ex, ey = step[0] - x - dx, step[1] - y - dy
-                    det = w[0] * w[3] - w[1] * w[2]
-                    u, v = (w[3] * ex - w[1] * ey) / det, (w[0] * ey - w[2] * ex) / det
-                    exact = u * u + v * v < 0.2
-                if exact:
-                    nx, ny = step[0], step[1]
-                    e1x, e1y, e2x, e2y, eps, pure = frame_at(
-                        f, child, coef, nx, ny, eight_tol, floor
-                    )
-                    exact = pure and eps == signs[here]
-                if not exact:
-                    # Trapezoidal rule with the limited metric at both ends.
-                    nx, ny = x + dx, y + dy
-                    for _ in range(2):
-                        e1x, e1y, e2x, e2y, eps, pure = frame_at(
-                            f, child, coef, nx, ny, eight_tol, floor
-                        )
-                        _gauge(e1x, e1y, e2x, e2y, eps, w, out)
-                        if eps == signs[here]:
-                            dx = 0.5 * ((w[0] + out[0]) * l1 + (w[1] + out[1]) * l2)
-                            dy = 0.5 * ((w[2] + out[2]) * l1 + (w[3] + out[3]) * l2)
-                        nx, ny = x + dx, y + dy
-                    e1x, e1y, e2x, e2y, eps, pure = frame_at(
-                        f, child, coef, nx, ny, eight_tol, floor
-                    )
-                    step[2], step[3], step[4], step[5] = w[0], w[1], w[2], w[3]
-                if not inside(sides, strip_start, strip_items, strip_box, nx, ny):
-                    continue
-                if eps != signs[here]:
-                    continue  # beyond det H = 0 nothing fits: a seed there does better
-                _gauge(e1x, e1y, e2x, e2y, eps, step[2:6], out)
-                limit = merge * (_EDGE_CONVEX if eps > 0 else 1.0)
-                if nearest(tree, link, box, px, py, nx, ny, out, limit, boundary, True) >= 0:
-                    continue
-                if _near_boundary(tree, link, box, px, py, boundary, following, nx, ny, out, gap):
-                    continue
-                px[count], py[count], signs[count] = nx, ny, eps
-                frames[count, 0], frames[count, 1] = out[0], out[1]
-                frames[count, 2], frames[count, 3] = out[2], out[3]
-                insert(tree, link, used, box, px, py, count)
-                count += 1
+        turn(w, eps, seeds[k, 2])
+        begin = count
+        count = add(front, count, x, y, w, eps)
+        count = grow(ground, front, count, begin, -1)
     return count

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from equimesh.boundary import BoundaryNodes
 from equimesh.domain import Sides, strips_of
 from equimesh.fields.kernel import KernelField
-from equimesh.front import grow
+from equimesh.front import Front, Ground, sow
 from equimesh.pointtree import insert, make_tree
+from equimesh.rows import grow_rows
 
 __all__ = ["lattice_points"]
 
@@ -37,6 +38,7 @@ def lattice_points(
     gap: float = _GAP,
     merge: float = _MERGE,
     turn: int = 0,
+    rows: bool = False,
     start: NDArray[np.float64] | None = None,
     obstacles: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
@@ -49,6 +51,8 @@ def lattice_points(
     turn
         Which of the quasi-random seeds comes first, and which of a quasi-random sequence of gauges
         (rotations, or boosts where the surface is a saddle) all seeds have.
+    rows
+        Whether saddles get rows first (``rows.py``): for large lattices that do not fit.
     start
         (k, 3) places and gauges to try as seeds before the quasi-random ones.
     obstacles
@@ -70,19 +74,21 @@ def lattice_points(
     for i in range(b):
         insert(tree, link, used, box, px, py, i)
     segments = np.hstack([sides.corners, sides.corners[sides.following]])
-    strips = strips_of(segments)
+    ground = Ground(
+        field.frame, field.child, field.coef, 8.0 * tol, floor, segments, *strips_of(segments),
+        neighbours, b, gap, merge,
+    )  # fmt: skip
+    front = Front(
+        px, py, np.empty((capacity, 4)), np.zeros(capacity, np.int8), tree, link, used, box
+    )
     seeds = _halton(max(64, 2 * expected, turn + 1)) * (high - low) + low
     seeds = np.hstack([seeds, np.zeros((len(seeds), 1))])
     seeds[:, 2] = math.fmod(_GOLDEN * turn, 1.0) * _PERIOD
     seeds[[0, turn]] = seeds[[turn, 0]]
     if start is not None:
         seeds = np.vstack([start, seeds])
-    count = grow(
-        field.frame, field.child, field.coef, 8.0 * tol, floor,
-        segments, *strips, tree, link, used, box, px, py,
-        np.empty((capacity, 4)), np.zeros(capacity, np.int8), neighbours, b, b,
-        seeds, gap, merge,
-    )  # fmt: skip
+    count = grow_rows(ground, front, b, seeds) if rows else b
+    count = sow(ground, front, count, seeds)
     return np.stack([px[b:count], py[b:count]], 1)
 
 

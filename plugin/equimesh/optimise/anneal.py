@@ -53,9 +53,9 @@ _LAST = 0.97  # the least error to anneal for in the end
 # Where a surface is convex or concave one crystal fills it, with hardly a dislocation: its errors
 # may be this large while others are still annealed for less, in small meshes and wide.
 _CRYSTAL, _CRYSTAL_WIDE = 0.97, 0.99
-# Passes in the heat, what it is at first (at .15 half as much is gained, at 1 crystals melt), and
+# Passes in the heat, what it is at first (at .3 strips become grains, at 1 crystals melt), and
 # triangles too few or too many around a vertex that make an exchange worth a trial.
-_PASSES, _HOTTEST, _OFF_HOT = 30, 0.3, 0.5
+_PASSES, _HOTTEST, _OFF_HOT = 30, 0.12, 0.5
 
 
 def anneal(

@@ -34,7 +34,7 @@ _LOWEST, _HIGHEST = 0.98, 1.15
 # By what power they follow what nearly all errors are off by: in a crystal an exchange finds room
 # at the rim alone.
 _EAGER = np.array([4.0, 2.0])
-_FEWEST, _ROUNDS = 5, 8  # rounds, and at most so many: the more while much is violated
+_FEWEST, _ROUNDS = 5, 12  # rounds, and at most so many: the more while much is violated
 # Where there is little time: as if after so many rounds, before so many, and for what at first.
 _HURRIED, _HURRIED_AIM = (4, 6), 1.0
 _NEARLY, _LEVEL = 0.99, 1.0005  # share of the errors that are to be below that

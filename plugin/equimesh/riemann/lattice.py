@@ -41,7 +41,7 @@ _STEPS = 2  # of the integration along an edge
 @allocating
 def _beside(tree, link, box, px, py, neighbours, x, y, w, gap):
     """Whether the boundary edges at the nearest boundary node pass within ``gap`` of (x, y)."""
-    who = nearest(tree, link, box, px, py, x, y, w, 1.5, 0, False)
+    who = nearest(tree, link, box, px, py, x, y, w, 1.5, 0, px.shape[0], False)
     if who < 0:
         return False
     det = w[0] * w[3] - w[1] * w[2]
@@ -73,7 +73,7 @@ def _grow(
             continue
         m11, m12, m22 = metric_at(P, x, y)
         out[0], out[1], out[2], out[3] = unit_frame(m11, m12, m22)
-        if nearest(tree, link, box, px, py, x, y, out, far, 0, True) >= 0:
+        if nearest(tree, link, box, px, py, x, y, out, far, 0, count, True) >= 0:
             continue
         if _beside(border_tree, border_link, box, bx, by, neighbours, x, y, out, gap):
             continue
@@ -100,7 +100,7 @@ def _grow(
                     continue
                 m11, m12, m22 = metric_at(P, nx, ny)
                 orthonormal(m11, m12, m22, step[2:6], out)
-                if nearest(tree, link, box, px, py, nx, ny, out, merge, 0, True) >= 0:
+                if nearest(tree, link, box, px, py, nx, ny, out, merge, 0, count, True) >= 0:
                     continue
                 if _beside(border_tree, border_link, box, bx, by, neighbours, nx, ny, out, gap):
                     continue
