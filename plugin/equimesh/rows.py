@@ -49,7 +49,7 @@ _OWN = 0.65  # from a row's own vertices
 _BESIDE, _REACH = (3.0, 6.0), (2.0, 8.0)
 _APART, _MEET = 6.3, 2.0
 _GENERATIONS, _CLEAR = 1, 2.0
-_SEEDS = 20_000  # that are tried
+_SEEDS = 20_000  # that are tried, and places beside rows that wait for it
 _ALONG = 0.2  # a contour nearer to an asymptote has no row
 _TO_ROWS = math.asinh(0.5)  # boost that brings a lattice's vector (1/2, sqrt5/2) to (0, 1)
 
@@ -250,7 +250,7 @@ def _lay_strips(ground, front, count, seeds):
     along vectors on which the metric is positive.
     """
     strips, w, step = count, np.empty(4), np.empty(6)
-    waiting = np.empty((2 * front.px.shape[0] // _EVERY + 2, 6))
+    waiting = np.empty((_SEEDS, 6))
     for k in range(seeds.shape[0]):
         x, y = seeds[k, 0], seeds[k, 1]
         if not within(ground, x, y) or not _saddle_at(ground, x, y, w):
