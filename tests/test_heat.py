@@ -10,7 +10,7 @@ from surfaces import FRANKE
 
 import equimesh
 from equimesh.optimise import anneal, driver, exchange
-from equimesh.optimise.mesh import MODEL, copied, triangles_in
+from equimesh.optimise.mesh import MANNER, MODEL, SOFT, copied, triangles_in
 from equimesh.optimise.relax import make_queue
 
 AIM = 0.95
@@ -60,6 +60,21 @@ def test_what_is_heated_and_cooled_has_less_energy_than_what_was_cold_all_the_ti
     _, warm = heated(start, monkeypatch, 0.3)
     assert cold < energy(*start)
     assert warm < cold - 5.0
+
+
+@pytest.mark.parametrize("hot", [0.3, 1.0])
+def test_in_the_heat_exchanges_that_cost_energy_are_kept_as_well(start, hot):
+    field, mesh, tol = start
+    kept, after = [], []
+    for heat in (0.0, hot):
+        trial = copied(mesh)
+        trial.count[MODEL], trial.count[MANNER] = 1, SOFT
+        driver.evaluate_all(field, trial, AIM * tol)
+        stamp, queue = np.zeros(len(trial.x), np.int64), make_queue(len(trial.x))
+        kept.append(exchange.exchange_once(field, trial, AIM * tol, queue, 60, stamp, 1, 0.5, heat))
+        after.append(energy(field, trial, tol))
+    assert kept[1] > 1.5 * kept[0]
+    assert after[1] > after[0]
 
 
 def test_heat_is_the_same_each_time(start, monkeypatch):

@@ -59,6 +59,15 @@ def test_rows_of_a_flat_metric_are_straight_lines_with_edges_of_the_tolerance(mo
     assert np.quantile(bent[along], 0.95) < 1e-3
 
 
+@pytest.mark.parametrize("text", ["exp(x)*sin(y)*10", "x*y*(1+x**2+y**2)"])
+def test_one_seed_brings_most_rows_since_each_begins_beside_another(monkeypatch, text):
+    only(monkeypatch, "_lay_strips")
+    every = len(laid(text, 1e-5))
+    monkeypatch.setattr(rows, "_SEEDS", 1)
+    first = len(laid(text, 1e-5))
+    assert first > 0.6 * every
+
+
 def test_rows_beside_a_circle_where_det_vanishes_are_circles(monkeypatch):
     only(monkeypatch, "_lay_beside")
     text, tol = "exp(-5*(x**2+y**2))", 2e-6
