@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from equimesh.domain import domain_geometry, sides_of, strips_of
 from equimesh.errors import InputError
-from equimesh.front import inside
+from equimesh.ground import inside
 
 HOLED = shapely.Polygon(
     [(0, 0), (4, 0), (4, 3), (0, 3)], [[(1, 1), (2, 1), (2, 2)], [(3, 2), (3.5, 2), (3.2, 2.5)]]

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from equimesh.boundary import boundary_nodes
 from equimesh.domain import Sides, sides_of
 from equimesh.fields.function import Function
-from equimesh.front import nearest
+from equimesh.ground import nearest
 from equimesh.lattice import lattice_vectors
 from equimesh.metric import frame_at
 from equimesh.pointtree import insert, make_tree

@@ -19,18 +19,8 @@ from numpy.typing import NDArray
 
 from equimesh.fields.compiled import allocating, compiled, inlined
 from equimesh.fields.patch_kernels import derivatives3
-from equimesh.front import (
-    Front,
-    Ground,
-    add,
-    gauge,
-    geodesic,
-    grow,
-    near_boundary,
-    there,
-    turn,
-    within,
-)
+from equimesh.front import gauge, geodesic, grow, turn
+from equimesh.ground import Front, Ground, add, near_boundary, there, within
 from equimesh.metric import frame_at
 
 __all__ = ["grow_rows"]

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from equimesh.boundary import BoundaryNodes
 from equimesh.domain import Sides, strips_of
 from equimesh.fields.kernel import KernelField
-from equimesh.front import Front, Ground, sow
+from equimesh.front import sow
+from equimesh.ground import Front, Ground
 from equimesh.pointtree import insert, make_tree
 from equimesh.rows import grow_rows
 

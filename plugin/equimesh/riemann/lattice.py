@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from equimesh.boundary import BoundaryNodes
 from equimesh.domain import Sides, strips_of
 from equimesh.fields.compiled import allocating
-from equimesh.front import inside, nearest
+from equimesh.ground import inside, nearest
 from equimesh.pointtree import insert, make_tree
 from equimesh.riemann.kernels import geodesic, metric_at, orthonormal, unit_frame
 from equimesh.riemann.patches import MetricPatches
