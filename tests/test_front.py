@@ -2,6 +2,7 @@
 
 import math
 
+import lattices
 import numpy as np
 import pytest
 import shapely
@@ -9,14 +10,11 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from equimesh.boundary import boundary_nodes
-from equimesh.domain import Sides, sides_of
 from equimesh.fields.function import Function
 from equimesh.ground import nearest
 from equimesh.lattice import lattice_vectors
 from equimesh.metric import frame_at
 from equimesh.pointtree import insert, make_tree
-from equimesh.seeding import lattice_points
 
 SQUARE = shapely.box(0, 0, 1, 1)
 
@@ -59,15 +57,8 @@ FLAT = {
 
 def laid(text, tol, domain=SQUARE, gauge=None):
     """(n, 2) the vertices that the front lays, the first of them its seed."""
-    function = Function(text)
-    kernel, frame = function.kernel(domain, tol), function.frame(domain)
-    sides = sides_of(domain)
-    local = Sides(frame.to_local(sides.corners), sides.following, sides.tags, sides.names)
-    extent = float(np.ptp(local.corners, axis=0).max())
-    nodes = boundary_nodes(kernel, local, tol, extent**-2)
     start = None if gauge is None else np.array([[0.05, -0.07, gauge]])
-    points = lattice_points(kernel, local, nodes, tol, extent**-2, 20_000, start=start)
-    return frame.to_user(points)
+    return lattices.laid(text, tol, domain, 20_000, start=start)
 
 
 def unit(signature, tol):

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 
+import lattices
 import numpy as np
 import pytest
 import shapely
 
 from equimesh import rows, seeding
-from equimesh.boundary import boundary_nodes
-from equimesh.domain import Sides, sides_of
 from equimesh.fields import Function
 
 SQUARE = shapely.box(-1, -1, 1, 1)
@@ -26,14 +25,7 @@ def only(monkeypatch, kind):
 
 def laid(text, tol, domain=SQUARE):
     """(n, 2) the vertices of the lattice with rows."""
-    function = Function(text)
-    kernel, frame = function.kernel(domain, tol), function.frame(domain)
-    sides = sides_of(domain)
-    local = Sides(frame.to_local(sides.corners), sides.following, sides.tags, sides.names)
-    floor = float(np.ptp(local.corners, axis=0).max()) ** -2
-    nodes = boundary_nodes(kernel, local, tol, floor)
-    points = seeding.lattice_points(kernel, local, nodes, tol, floor, 50_000, rows=True)
-    return frame.to_user(points)
+    return lattices.laid(text, tol, domain, 50_000, rows=True)
 
 
 def edge_errors(text, tol, points):

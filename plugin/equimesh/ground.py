@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from equimesh.fields.compiled import allocating, inlined
 from equimesh.fields.reference import by_reference
-from equimesh.pointtree import insert
+from equimesh.pointtree import insert, next_bucket, start_walk
 
 __all__ = [
     "Front", "Ground", "add", "inside", "near_boundary", "nearest", "there", "within",
@@ -95,25 +95,10 @@ def nearest(tree, link, box, px, py, x, y, w, radius, first, last, any_one):
     reach_y = radius * math.hypot(w[2], w[3])
     xlo, xhi, ylo, yhi = x - reach_x, x + reach_x, y - reach_y, y + reach_y
     best, who = radius * radius, -1
-    stack = np.empty(200, np.int32)
-    corner = np.empty((200, 3))
-    stack[0] = 0
-    corner[0, 0], corner[0, 1], corner[0, 2] = box[0], box[1], box[2]
+    stack, corner = start_walk(box)
     top = 1
     while top > 0:
-        top -= 1
-        node = stack[top]
-        x0, y0, side = corner[top, 0], corner[top, 1], corner[top, 2]
-        if tree[node, 0] >= 0:
-            side *= 0.5
-            for q in range(4):
-                cx, cy = x0 + side * (q & 1), y0 + side * (q >> 1)
-                if cx <= xhi and cx + side >= xlo and cy <= yhi and cy + side >= ylo:
-                    stack[top] = tree[node, q]
-                    corner[top, 0], corner[top, 1], corner[top, 2] = cx, cy, side
-                    top += 1
-            continue
-        point = tree[node, 4]
+        point, top = next_bucket(tree, stack, corner, top, xlo, xhi, ylo, yhi)
         while point >= 0:
             if first <= point < last:
                 dx, dy = px[point] - x, py[point] - y
@@ -139,25 +124,10 @@ def near_boundary(ground, front, x, y, w):
     reach_x = radius * math.hypot(w[0], w[1])
     reach_y = radius * math.hypot(w[2], w[3])
     xlo, xhi, ylo, yhi = x - reach_x, x + reach_x, y - reach_y, y + reach_y
-    stack = np.empty(200, np.int32)
-    corner = np.empty((200, 3))
-    stack[0] = 0
-    corner[0, 0], corner[0, 1], corner[0, 2] = box[0], box[1], box[2]
+    stack, corner = start_walk(box)
     top = 1
     while top > 0:
-        top -= 1
-        node = stack[top]
-        x0, y0, side = corner[top, 0], corner[top, 1], corner[top, 2]
-        if tree[node, 0] >= 0:
-            side *= 0.5
-            for q in range(4):
-                cx, cy = x0 + side * (q & 1), y0 + side * (q >> 1)
-                if cx <= xhi and cx + side >= xlo and cy <= yhi and cy + side >= ylo:
-                    stack[top] = tree[node, q]
-                    corner[top, 0], corner[top, 1], corner[top, 2] = cx, cy, side
-                    top += 1
-            continue
-        point = tree[node, 4]
+        point, top = next_bucket(tree, stack, corner, top, xlo, xhi, ylo, yhi)
         while point >= 0:
             if point < count:
                 for side_of in range(2):

@@ -15,7 +15,7 @@ from equimesh.fields.compiled import compiled, inlined
 from equimesh.fields.kernel import KernelField
 from equimesh.fields.patch_kernels import derivatives2, derivatives3
 from equimesh.fields.workers import in_ranges
-from equimesh.metric import AREA_CONVEX, AREA_SADDLE, frame_at
+from equimesh.metric import AREA_CONVEX, AREA_SADDLE, frame_at, gamma
 
 __all__ = ["lattice_size", "lower_bound", "lower_bound_of", "total_curvature"]
 
@@ -272,12 +272,7 @@ def _bent(frame, child, coef, x, y):
     det = abs(hxx * hyy - hxy * hxy)
     if det <= _SINGULAR * (hxx * hxx + 2.0 * hxy * hxy + hyy * hyy):
         return 0.0
-    gamma = (
-        hxx * (t122 * t122 - t222 * t112)
-        + hxy * (t111 * t222 - t112 * t122)
-        + hyy * (t112 * t112 - t122 * t111)
-    )
-    return 0.25 * abs(gamma) / det**1.5
+    return 0.25 * abs(gamma(hxx, hxy, hyy, t111, t112, t122, t222)) / det**1.5
 
 
 @compiled

@@ -16,7 +16,7 @@ import math
 from equimesh.fields.compiled import compiled
 from equimesh.fields.patch_kernels import derivatives3
 
-__all__ = ["AREA_CONVEX", "AREA_SADDLE", "BOOST_PERIOD", "frame_at"]
+__all__ = ["AREA_CONVEX", "AREA_SADDLE", "BOOST_PERIOD", "eigenvalues", "frame_at", "gamma"]
 
 # Area per error of the optimal triangle (sec. 2, App. B) where f must be met at the vertices.
 AREA_CONVEX = 3.0 * math.sqrt(3.0) / 4.0
@@ -26,6 +26,33 @@ AREA_SADDLE = math.sqrt(5.0)
 BOOST_PERIOD = 2.0 * math.log((1.0 + math.sqrt(5.0)) / 2.0)
 
 _CUBIC = 72.0 * math.sqrt(3.0)
+
+
+@compiled
+def eigenvalues(hxx, hxy, hyy):
+    """Both eigenvalues of H, the larger first, and the unit eigenvector of that."""
+    mean, half = 0.5 * (hxx + hyy), 0.5 * (hxx - hyy)
+    radius = math.hypot(half, hxy)
+    vx, vy = 1.0, 0.0
+    if radius > 0.0:
+        # From the row without cancellation.
+        if half >= 0.0:
+            vx, vy = radius + half, hxy
+        else:
+            vx, vy = hxy, radius - half
+        norm = math.hypot(vx, vy)
+        vx, vy = vx / norm, vy / norm
+    return mean + radius, mean - radius, vx, vy
+
+
+@compiled
+def gamma(hxx, hxy, hyy, t111, t112, t122, t222):
+    """Gamma of (10): the Gauss curvature of the metric H is ``Gamma / (4 det^2)``."""
+    return (
+        hxx * (t122 * t122 - t222 * t112)
+        + hxy * (t111 * t222 - t112 * t122)
+        + hyy * (t112 * t112 - t122 * t111)
+    )
 
 
 @compiled
@@ -49,19 +76,7 @@ def frame_at(frame, child, coef, x, y, eight_tol, floor):
     smallest eigenvalue of H / eight_tol allowed (a longest length).
     """
     hxx, hxy, hyy, t111, t112, t122, t222 = derivatives3(frame, child, coef, x, y)
-    mean, half = 0.5 * (hxx + hyy), 0.5 * (hxx - hyy)
-    radius = math.hypot(half, hxy)
-    l1, l2 = mean + radius, mean - radius
-    if radius > 0.0:
-        # Eigenvector of l1, from the row without cancellation.
-        if half >= 0.0:
-            vx, vy = radius + half, hxy
-        else:
-            vx, vy = hxy, radius - half
-        norm = math.hypot(vx, vy)
-        vx, vy = vx / norm, vy / norm
-    else:
-        vx, vy = 1.0, 0.0
+    l1, l2, vx, vy = eigenvalues(hxx, hxy, hyy)
     eps = 1 if l1 * l2 > 0.0 else -1
     if eps > 0:
         l1, l2 = l1 / frame[3], l2 / frame[3]

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from equimesh.fields.compiled import allocating
+from equimesh.fields.compiled import allocating, compiled
 
-__all__ = ["insert", "make_tree"]
+__all__ = ["insert", "make_tree", "next_bucket", "start_walk"]
 
 _BUCKET = 8
 _MAX_DEPTH = 40
+_STACK = 200  # nodes that a walk has to come back to, at most
 
 
 def make_tree(capacity: int):
@@ -66,3 +67,31 @@ def insert(tree, link, used, box, px, py, point):
         y0 += side * (q >> 1)
         node = first + q
         depth += 1
+
+
+@allocating
+def start_walk(box):
+    """A stack with the root alone: nodes, and (x0, y0, side) of their squares."""
+    stack, corner = np.empty(_STACK, np.int32), np.empty((_STACK, 3))
+    stack[0] = 0
+    corner[0] = box
+    return stack, corner
+
+
+@compiled
+def next_bucket(tree, stack, corner, top, xlo, xhi, ylo, yhi):
+    """The first point of the next bucket that may have some in a window, -1 where it is empty or
+    there is no other bucket; and how many nodes the stack, which had ``top``, still has."""
+    while top > 0:
+        top -= 1
+        node = stack[top]
+        if tree[node, 0] < 0:
+            return tree[node, 4], top
+        x0, y0, side = corner[top, 0], corner[top, 1], 0.5 * corner[top, 2]
+        for q in range(4):
+            cx, cy = x0 + side * (q & 1), y0 + side * (q >> 1)
+            if cx <= xhi and cx + side >= xlo and cy <= yhi and cy + side >= ylo:
+                stack[top] = tree[node, q]
+                corner[top, 0], corner[top, 1], corner[top, 2] = cx, cy, side
+                top += 1
+    return -1, 0

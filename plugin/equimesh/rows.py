@@ -21,7 +21,7 @@ from equimesh.fields.compiled import allocating, compiled, inlined
 from equimesh.fields.patch_kernels import derivatives3
 from equimesh.front import gauge, geodesic, grow, turn
 from equimesh.ground import Front, Ground, add, near_boundary, there, within
-from equimesh.metric import frame_at
+from equimesh.metric import eigenvalues, frame_at, gamma
 
 __all__ = ["grow_rows"]
 
@@ -64,12 +64,8 @@ def _curvature(ground, x, y):
         ground.frame, ground.child, ground.coef, x, y
     )
     det = hxx * hyy - hxy * hxy
-    gamma = (
-        hxx * (t122 * t122 - t222 * t112)
-        + hxy * (t111 * t222 - t112 * t122)
-        + hyy * (t112 * t112 - t122 * t111)
-    )
-    return 0.25 * gamma / (det * det) * ground.eight_tol
+    k = 0.25 * gamma(hxx, hxy, hyy, t111, t112, t122, t222) / (det * det)
+    return k * ground.eight_tol
 
 
 @compiled
@@ -88,15 +84,9 @@ def _beside(ground, x, y):
     hxx, hxy, hyy, t111, t112, t122, t222 = derivatives3(
         ground.frame, ground.child, ground.coef, x, y
     )
-    mean, half = 0.5 * (hxx + hyy), 0.5 * (hxx - hyy)
-    radius = math.hypot(half, hxy)
-    lesser = mean - math.copysign(radius, mean)
-    # Eigenvector of the lesser, from the row without cancellation.
-    vx, vy = (hxy, lesser - hxx) if abs(lesser - hxx) > abs(lesser - hyy) else (lesser - hyy, hxy)
-    norm = math.hypot(vx, vy)
-    if not norm > 0.0:
-        return math.inf
-    vx, vy = vx / norm, vy / norm
+    lesser, other, vx, vy = eigenvalues(hxx, hxy, hyy)
+    if abs(lesser) > abs(other):
+        lesser, vx, vy = other, -vy, vx
     slope = abs(t111 * vx**3 + 3.0 * t112 * vx * vx * vy + 3.0 * t122 * vx * vy * vy + t222 * vy**3)
     return abs(lesser) ** 1.5 / (slope * math.sqrt(ground.eight_tol)) if slope > 0.0 else math.inf
 
@@ -175,7 +165,7 @@ def _lay_row(ground, front, count, x, y, w, first, contour, strips):
                     turn(w, -1, _TO_ROWS)
             if contour:
                 ok, nx, ny = _step_along(ground, nx, ny, first, way, w)
-                if not ok:
+                if not ok or not within(ground, nx, ny):
                     break
                 if not _REACH[0] < _beside(ground, nx, ny) < _REACH[1]:
                     break
@@ -191,7 +181,7 @@ def _lay_row(ground, front, count, x, y, w, first, contour, strips):
                     break
             if there(front, nx, ny, w, _OWN, begin, count):
                 break
-            if not within(ground, nx, ny) or near_boundary(ground, front, nx, ny, w):
+            if near_boundary(ground, front, nx, ny, w):
                 break
     return count
 

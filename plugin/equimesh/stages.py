@@ -29,7 +29,7 @@ class Stages:
     seconds: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[Callable[[float], None]]:
+    def stage(self, name: str) -> Iterator[Report]:
         """Time what is done inside; gives a function that reports a fraction.
 
         Raises Cancelled where the caller's ``progress`` returns False.

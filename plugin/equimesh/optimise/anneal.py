@@ -10,8 +10,6 @@ power rises on the way, since in the end only the largest error counts.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,6 +35,7 @@ from equimesh.optimise.mesh import (
 from equimesh.optimise.newton import relax_together
 from equimesh.optimise.relax import Queue
 from equimesh.optimise.sweep import relax_everything
+from equimesh.stages import Report
 
 __all__ = [
     "VISITS", "anneal", "bowls", "exchange", "exchange_all", "heat", "press", "relief", "shares",
@@ -82,7 +81,7 @@ def heat(
     tol: float,
     error: float,
     queue: Queue,
-    report: Callable[[float], None],
+    report: Report,
 ) -> None:
     """Passes of exchanges at the lowest power and a temperature that falls.
 

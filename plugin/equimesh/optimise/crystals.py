@@ -8,8 +8,6 @@ length of the bands.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,7 +17,7 @@ from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.mesh import FIXED, FREE, GONE, Mesh
 from equimesh.optimise.relax import make_queue
 from equimesh.optimise.tighten import close, tighten
-from equimesh.stages import between
+from equimesh.stages import Report, between
 
 __all__ = ["anneal_between"]
 
@@ -35,7 +33,7 @@ def anneal_between(
     tol: float,
     hurried: bool,
     goal: float,
-    report: Callable[[float], None],
+    report: Report,
 ) -> Mesh:
     """Exchange vertices between crystals of a lattice that keeps ``tol``, so that it keeps it
     again.

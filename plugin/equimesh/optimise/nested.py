@@ -8,7 +8,6 @@ vertices come and go.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +21,7 @@ from equimesh.optimise.mesh import FIRM, HARD, MANNER, SETTLE, SOFT, Mesh
 from equimesh.optimise.newton import relax_together
 from equimesh.optimise.regions import regional_shares
 from equimesh.optimise.relax import make_queue
+from equimesh.stages import Report
 
 __all__ = ["Nested", "nested_for", "settle"]
 
@@ -77,7 +77,7 @@ def settle(
     mesh: Mesh,
     tol: float,
     steps: tuple[int, ...],
-    report: Callable[[float], None],
+    report: Report,
 ) -> None:
     """Bring the errors of a mesh that was just refined close together.
 

@@ -10,7 +10,6 @@ lowest power, which climbs over what stands between, and the highest tells where
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from equimesh.optimise.anneal import bowls, exchange_all, press, shares
 from equimesh.optimise.energy import evaluate_all, worst_errors
 from equimesh.optimise.mesh import SOFT, Mesh, copied, is_wide, restore
 from equimesh.optimise.relax import Queue
+from equimesh.stages import Report
 
 __all__ = ["even_out", "expected", "largest_around", "regional_shares"]
 
@@ -49,7 +49,7 @@ def even_out(
     rounds: int,
     presses: tuple[int, int, int],
     goal: float,
-    report: Callable[[float], None],
+    report: Report,
 ) -> None:
     """Up to so many ``rounds`` of exchanges of an annealed mesh, each followed by a press; leaves
     the best of the meshes in between.

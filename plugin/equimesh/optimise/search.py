@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from equimesh.fields.kernel import KernelField
 from equimesh.optimise.energy import evaluate_all
 from equimesh.optimise.focus import exchange_round, make_search
 from equimesh.optimise.mesh import Mesh, movable
+from equimesh.stages import Report
 
 __all__ = ["search_all"]
 
@@ -20,7 +19,7 @@ _IDLE_TRIALS, _IDLE_ROUNDS = 10_000, 40
 _PART = 500  # removals between two reports
 
 
-def search_all(field: KernelField, mesh: Mesh, tol: float, report: Callable[[float], None]) -> None:
+def search_all(field: KernelField, mesh: Mesh, tol: float, report: Report) -> None:
     """Remove or exchange vertices of a mesh that keeps ``tol``, in random order, again and again.
 
     Errors of data are exact: unlike what comes before, the search needs no margin below ``tol``.

@@ -8,8 +8,6 @@ enough it comes down, or the next exchange is for lower errors.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +21,7 @@ from equimesh.optimise.regions import expected, largest_around
 from equimesh.optimise.relax import Queue
 from equimesh.optimise.sweep import split_borders
 from equimesh.optimise.trials import mending_round
+from equimesh.stages import Report
 
 __all__ = ["close", "tighten"]
 
@@ -63,7 +62,7 @@ def tighten(
     tol: float,
     queue: Queue,
     goal: float,
-    report: Callable[[float], None],
+    report: Report,
     narrow: bool = False,
     hurried: bool = False,
 ) -> tuple[Mesh, Queue]:

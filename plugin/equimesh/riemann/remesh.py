@@ -26,7 +26,7 @@ from equimesh.riemann.patches import MetricPatches, fit_metric
 from equimesh.riemann.profile import metric_profile
 from equimesh.riemann.relax import improve, relax_all, set_energies
 from equimesh.riemann.tensors import exponential, logarithm
-from equimesh.stages import Stages
+from equimesh.stages import Report, Stages
 from equimesh.triangulation import constrained_delaunay
 
 __all__ = ["remesh_metric"]
@@ -277,7 +277,7 @@ def _optimise(
     mesh: Mesh,
     effort: _Effort,
     goal: float,
-    report: Callable[[float], None],
+    report: Report,
 ) -> Mesh:
     set_energies(patches, mesh)
     queue, todo = make_queue(len(mesh.x)), make_queue(len(mesh.x))
